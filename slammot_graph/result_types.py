@@ -1,0 +1,209 @@
+"""What a step and a run hand out: plain arrays with their units and frames, nothing that computes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+MatchStatus = Literal["converged", "degenerate", "failed"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MatchResult:
+    """Outcome of one scan match.
+
+    Attributes
+    ----------
+    status : "converged", "degenerate" (some direction is not constrained) or "failed" (do not use it)
+    T_ref_base : (3,) array
+        Base in the frame of what was matched against (a local map's anchor, or the previous scan's base).
+    cov : (3, 3) array
+        Covariance of `T_ref_base`, right perturbation, order (x, y, theta); huge in unconstrained directions.
+    information : (3, 3) array
+        Its inverse, zero in the directions that the match says nothing about.
+    n_iterations, n_correspondences : int
+    inlier_ratio : float
+        Share of the matched points that found a partner and agree with it.
+    residual_m : float
+        Robust root mean square of the residuals [m].
+    reason : str
+        Why it failed or is degenerate; empty when converged.
+    """
+
+    status: MatchStatus
+    T_ref_base: FloatArray
+    cov: FloatArray
+    information: FloatArray
+    n_iterations: int
+    n_correspondences: int
+    inlier_ratio: float
+    residual_m: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackState:
+    """One moving object at one scan.
+
+    Attributes
+    ----------
+    track_id : int
+    position : (2,) array [m], map frame
+    velocity : (2,) array [m/s], map frame
+    position_cov : (2, 2) array [m^2], map frame
+    beams : (k,) int array
+        Beams of this scan that were assigned to the track; empty when it was only predicted.
+    """
+
+    track_id: int
+    position: FloatArray
+    velocity: FloatArray
+    position_cov: FloatArray
+    beams: IntArray
+
+
+EdgeKind = Literal["odometry", "match", "closure"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraphEdge:
+    """A factor between two nodes: the pose of `to_node` in the frame of `from_node`."""
+
+    kind: EdgeKind
+    from_node: int
+    to_node: int
+    T_from_to: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StepResult:
+    """Everything that one scan brought.
+
+    Attributes
+    ----------
+    scan : Scan
+    T_map_base : (3,) array
+        Best pose at this time.
+    cov_map : (3, 3) array
+        Its covariance, right perturbation (body frame).
+    T_map_base_predicted : (3,) array
+        The pose before the match.
+    cov_relative : (3, 3) array
+        The covariance that the moving-point test used: of the predicted base relative to the local map's anchor
+        (or what the method puts in its place), body frame.
+    is_valid, is_moving : (n_beams,) bool arrays
+    p_moving : (n_beams,) array
+        Probability that the beam hit something moving; NaN where not valid.
+    reason : (n_beams,) int array
+        Why a beam was decided as it was: an index into `motion.REASONS`.
+    point_cov_map : (n_beams, 2, 2) array
+        Covariance of the end points as used by the test [m^2], map axes.
+    match : MatchResult or None
+    innovation_nis : float
+        Normalised innovation squared of the match against the prediction (3 degrees of freedom); NaN if none.
+    tracks : tuple of TrackState
+    node : int or None
+        Index of the graph node added at this scan.
+    events : tuple of str
+        What a person should know: "match failed: ...", "closure 12-340 accepted: ...".
+    stage_ms : mapping
+        Time of each stage [ms]; the whole step under "step".
+    """
+
+    scan: Scan
+    T_map_base: FloatArray
+    cov_map: FloatArray
+    T_map_base_predicted: FloatArray
+    cov_relative: FloatArray
+    is_valid: BoolArray
+    is_moving: BoolArray
+    p_moving: FloatArray
+    reason: IntArray
+    point_cov_map: FloatArray
+    match: MatchResult | None
+    innovation_nis: float
+    tracks: tuple[TrackState, ...]
+    node: int | None
+    events: tuple[str, ...]
+    stage_ms: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GridMap:
+    """An occupancy map: `p_occupied` (rows, cols), row 0 the lowest y, NaN where never seen.
+
+    Attributes
+    ----------
+    p_occupied : (rows, cols) array
+    resolution_m : float
+    origin : (2,) array
+        Lower left corner of cell [0, 0] in the map frame [m].
+    """
+
+    p_occupied: FloatArray
+    resolution_m: float
+    origin: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunResult:
+    """The outcome of a whole run, all poses optimised; n scans of at most `beams` beams, m nodes.
+
+    Attributes
+    ----------
+    method : str
+    config : mapping
+        The method's configuration as nested plain values.
+    stamps : (n,) array [s]
+    T_map_base : (n, 3) array
+        Optimised trajectory, in the log's order.
+    T_map_odom_base : (n, 3) array
+        Raw odometry, moved so that it starts where the trajectory does.
+    cov_map : (n, 3, 3) array
+        Covariance of `T_map_base`, right perturbation.
+    is_valid, is_moving, is_moving_online : (n, beams) bool arrays
+        `is_moving` are the final labels; beams that a scan does not have are not valid.
+    p_moving : (n, beams) float16 array
+    tracks : (k, 10) array
+        Columns stamp, id, x, y, vx, vy, var_x, cov_xy, var_y, scan index; map frame.
+    grid : GridMap
+    node_scans : (m,) int array
+        Scan index of each graph node.
+    nodes : (m, 3) array
+        Optimised node poses, map frame.
+    edges : tuple of GraphEdge
+    stage_ms : mapping of str to (n,) arrays
+        "step" is the whole.
+    nis : (n,) array
+        Normalised innovation squared per scan, NaN where there was no match.
+    n_failed_matches : int
+    n_skipped : int
+    events : tuple of (scan index, text)
+    is_complete : bool
+        False when the run was interrupted.
+    """
+
+    method: str
+    config: Mapping[str, Any]
+    stamps: FloatArray
+    T_map_base: FloatArray
+    T_map_odom_base: FloatArray
+    cov_map: FloatArray
+    is_valid: BoolArray
+    is_moving: BoolArray
+    is_moving_online: BoolArray
+    p_moving: Any
+    tracks: FloatArray
+    grid: GridMap
+    node_scans: IntArray
+    nodes: FloatArray
+    edges: tuple[GraphEdge, ...]
+    stage_ms: Mapping[str, FloatArray]
+    nis: FloatArray
+    n_failed_matches: int
+    n_skipped: int
+    events: tuple[tuple[int, str], ...] = field(default=())
+    is_complete: bool = True

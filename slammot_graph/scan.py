@@ -1,0 +1,124 @@
+"""One laser scan with its odometry, and the model of the laser that took it."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+NO_RETURN_FRACTION = 0.97
+"""A range above this share of `range_max` is a missing return, not a point."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaserModel:
+    """Geometry and limits of a planar laser scanner.
+
+    Attributes
+    ----------
+    angle_min, angle_increment : float
+        Direction of beam 0 and the step to the next [rad], laser frame, counter-clockwise.
+    n_beams : int
+    range_min, range_max : float
+        Limits of a valid return [m]; ranges above ``NO_RETURN_FRACTION * range_max`` are missing returns.
+    T_base_laser : (x, y, theta)
+        Mounting: the laser in the robot's base frame [m, m, rad].
+    """
+
+    angle_min: float
+    angle_increment: float
+    n_beams: int
+    range_min: float
+    range_max: float
+    T_base_laser: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.n_beams < 1:
+            raise ConfigError(f"a laser needs at least one beam, not {self.n_beams}")
+        if not (np.isfinite(self.angle_min) and np.isfinite(self.angle_increment)):
+            raise ConfigError("the laser's angles are not finite")
+        if self.angle_increment == 0.0:
+            raise ConfigError("the laser's angle_increment is zero")
+        if not 0.0 <= self.range_min < self.range_max:
+            raise ConfigError(
+                f"the laser's limits need 0 <= range_min < range_max, not {self.range_min}, {self.range_max}"
+            )
+
+    @cached_property
+    def angles_base(self) -> FloatArray:
+        """(n_beams,) beam directions in the base frame [rad]."""
+        steps = np.arange(self.n_beams, dtype=np.float64)
+        return self.angle_min + self.T_base_laser[2] + self.angle_increment * steps
+
+    @cached_property
+    def directions_base(self) -> FloatArray:
+        """(n_beams, 2) unit vectors of the beams in the base frame."""
+        return np.column_stack([np.cos(self.angles_base), np.sin(self.angles_base)])
+
+    @cached_property
+    def origin_base(self) -> FloatArray:
+        """(2,) the laser's place in the base frame [m]."""
+        return np.array(self.T_base_laser[:2])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanTruth:
+    """What a simulator or an injection knows about a scan.
+
+    Attributes
+    ----------
+    T_world_base : (3,) array or None
+        True pose.
+    is_moving : (n_beams,) bool array or None
+        The beam hit a person or another moving object.
+    object_id : (n_beams,) int array or None
+        Which object; -1 for none.
+    """
+
+    T_world_base: FloatArray | None = None
+    is_moving: BoolArray | None = None
+    object_id: IntArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scan:
+    """One scan in the log's order.
+
+    Attributes
+    ----------
+    index : int
+        Position among the usable scans of the log, from 0.
+    stamp : float
+        Time [s].
+    ranges : (n_beams,) array
+        As measured [m]; may hold NaN, infinity and missing returns.
+    laser : LaserModel
+        Shared by scans of equal geometry.
+    T_odom_base : (3,) array
+        Odometry at the stamp: base in odom.
+    truth : ScanTruth or None
+    """
+
+    index: int
+    stamp: float
+    ranges: FloatArray
+    laser: LaserModel
+    T_odom_base: FloatArray
+    truth: ScanTruth | None = field(default=None)
+
+    def is_valid(self, max_range: float = np.inf) -> BoolArray:
+        """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m]."""
+        limit = min(NO_RETURN_FRACTION * self.laser.range_max, max_range)
+        with np.errstate(invalid="ignore"):
+            return (self.ranges > max(self.laser.range_min, 1e-3)) & (self.ranges < limit)
+
+    def points_base(self) -> FloatArray:
+        """(n_beams, 2) end points in the base frame [m]: origin + r (cos, sin) (eq. 7)."""
+        return self.laser.origin_base + self.ranges[:, None] * self.laser.directions_base
+
+    def points(self, T_a_base: FloatArray) -> FloatArray:
+        """(n_beams, 2) end points carried into frame a [m] (eq. 2)."""
+        return se2.transform(T_a_base, self.points_base())
