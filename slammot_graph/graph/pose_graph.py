@@ -1,0 +1,210 @@
+"""The pose graph on GTSAM's ISAM2: odometry factors with R_r, match factors, marginal covariances.
+
+The only importer of gtsam. Every call into gtsam is made in one thread with a large stack, since its
+recursions over long chains overflow a default one.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import gtsam
+import numpy as np
+
+from slammot_graph.errors import ConfigError, SlammotError
+from slammot_graph.linalg import is_covariance
+from slammot_graph.result_types import EdgeKind, GraphEdge
+from slammot_graph.types import FloatArray
+
+T = TypeVar("T")
+
+STACK_BYTES = 256 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseGraphConfig:
+    """Settings of the incremental smoother.
+
+    Attributes
+    ----------
+    prior_std_m, prior_std_rad : float
+        Of the first node, which is where the map's frame lies.
+    relinearize_threshold : float
+        A node that moved by more than this [m, rad] is linearised again.
+    """
+
+    prior_std_m: float = 1e-4
+    prior_std_rad: float = 1e-4
+    relinearize_threshold: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not (self.prior_std_m > 0.0 and self.prior_std_rad > 0.0 and self.relinearize_threshold > 0.0):
+            raise ConfigError("graph.prior_std_m, prior_std_rad and relinearize_threshold must be positive")
+
+
+class PoseGraph:
+    """Nodes are poses of the base in the map, numbered from 0; edges are relative poses with information.
+
+    Attributes
+    ----------
+    edges : list of GraphEdge
+    """
+
+    def __init__(self, config: PoseGraphConfig) -> None:
+        parameters = gtsam.ISAM2Params()
+        parameters.setFactorization("QR")
+        parameters.setRelinearizeThreshold(config.relinearize_threshold)
+        parameters.relinearizeSkip = 1
+        parameters.enablePartialRelinearizationCheck = True
+        self.config = config
+        self.edges: list[GraphEdge] = []
+        self._n_nodes = 0
+        self._isam = gtsam.ISAM2(parameters)
+        self._new_factors = gtsam.NonlinearFactorGraph()
+        self._new_values = gtsam.Values()
+        self._thread = _large_stack_thread()
+
+    def __len__(self) -> int:
+        return self._n_nodes
+
+    def start(self, T_map_base: FloatArray) -> int:
+        """Add the first node, held by the prior; returns its number, 0."""
+        sigmas = np.array([self.config.prior_std_m, self.config.prior_std_m, self.config.prior_std_rad])
+        pose = _pose(T_map_base)
+        self._new_factors.add(gtsam.PriorFactorPose2(0, pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+        self._new_values.insert(0, pose)
+        self._n_nodes = 1
+        self.update()
+        return 0
+
+    def add_node(self, T_map_base: FloatArray) -> int:
+        """Add a node with a first guess of its pose (3,); it needs an edge before the next `update`."""
+        node = self._n_nodes
+        self._new_values.insert(node, _pose(T_map_base))
+        self._n_nodes += 1
+        return node
+
+    def add_edge(
+        self, kind: EdgeKind, from_node: int, to_node: int, T_from_to: FloatArray, information: FloatArray
+    ) -> None:
+        """Add a relative pose between two nodes.
+
+        Parameters
+        ----------
+        kind : "odometry", "match" or "closure"
+        from_node, to_node : int
+        T_from_to : (3,) array
+        information : (3, 3) array
+            Right perturbation (body frame of `to_node`), order (x, y, theta); may be rank-deficient.
+
+        Raises
+        ------
+        SlammotError
+            The measurement or its information is not finite, symmetric and positive semi-definite.
+        """
+        edge = GraphEdge(
+            kind=kind, from_node=from_node, to_node=to_node, T_from_to=T_from_to, information=information
+        )
+        noise = _noise(edge)
+        self._new_factors.add(gtsam.BetweenFactorPose2(from_node, to_node, _pose(T_from_to), noise))
+        self.edges.append(edge)
+
+    def update(self) -> None:
+        """Bring what was added into the smoother; on failure that is dropped again and the error raised."""
+        factors, values = self._new_factors, self._new_values
+        self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        try:
+            self._in_thread(lambda: self._isam.update(factors, values))
+        except (RuntimeError, IndexError, ValueError) as error:
+            raise SlammotError(
+                f"the pose graph of {self._n_nodes} nodes cannot be solved: {error}"
+            ) from error
+
+    def pose(self, node: int) -> FloatArray:
+        """(3,) optimised pose of a node, map frame."""
+        pose = self._in_thread(lambda: self._isam.calculateEstimatePose2(node))
+        return np.array([pose.x(), pose.y(), pose.theta()])
+
+    def poses(self) -> FloatArray:
+        """(n, 3) optimised poses of all nodes, map frame."""
+        values = self._in_thread(self._isam.calculateBestEstimate)
+        poses = gtsam.utilities.extractPose2(values)
+        return np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+
+    def marginal(self, node: int) -> FloatArray:
+        """(3, 3) absolute covariance of a node, right perturbation (body frame)."""
+        cov = np.asarray(self._in_thread(lambda: self._isam.marginalCovariance(node)), dtype=np.float64)
+        return _checked(cov, f"node {node}")
+
+    def marginals(self) -> FloatArray:
+        """(n, 3, 3) absolute covariances of all nodes, right perturbation (body frame)."""
+
+        def all_marginals() -> FloatArray:
+            return np.array([self._isam.marginalCovariance(k) for k in range(self._n_nodes)])
+
+        return self._in_thread(all_marginals)
+
+    def relative_covariance(self, anchor: int, node: int) -> FloatArray:
+        """(3, 3) covariance of a node relative to an anchor, right perturbation (body frame of `node`).
+
+        From the joint marginal J of both: ``H J H'`` with ``H = [-Ad(T_node_anchor) | I]``.
+        """
+        if anchor == node:
+            return np.zeros((3, 3))
+
+        def query() -> tuple[FloatArray, gtsam.Pose2]:
+            joint = self._isam.jointMarginalCovariance([anchor, node]).fullMatrix()
+            T_anchor_node = self._isam.calculateEstimatePose2(anchor).between(
+                self._isam.calculateEstimatePose2(node)
+            )
+            return np.asarray(joint, dtype=np.float64), T_anchor_node
+
+        joint, T_anchor_node = self._in_thread(query)
+        H = np.hstack([-T_anchor_node.inverse().AdjointMap(), np.eye(3)])
+        # gtsam orders the joint by key
+        if anchor > node:
+            joint = joint[np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])]
+        return _checked(H @ joint @ H.T, f"node {node} relative to node {anchor}")
+
+    def close(self) -> None:
+        """End the graph's thread."""
+        self._thread.shutdown(wait=True)
+
+    def _in_thread(self, call: Callable[[], T]) -> T:
+        return self._thread.submit(call).result()
+
+
+def _large_stack_thread() -> ThreadPoolExecutor:
+    """One worker thread with a stack of `STACK_BYTES`, started now so that no other thread gets it."""
+    before = threading.stack_size(STACK_BYTES)
+    try:
+        executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="pose-graph")
+        executor.submit(int).result()
+    finally:
+        threading.stack_size(before)
+    return executor
+
+
+def _pose(T_a_b: FloatArray) -> gtsam.Pose2:
+    return gtsam.Pose2(float(T_a_b[0]), float(T_a_b[1]), float(T_a_b[2]))
+
+
+def _noise(edge: GraphEdge) -> gtsam.noiseModel.Gaussian:
+    """Square-root information with a floor, since gtsam takes a rank-deficient matrix in silence."""
+    name = f"{edge.kind} edge {edge.from_node}-{edge.to_node}"
+    if not (np.isfinite(edge.T_from_to).all() and np.isfinite(edge.information).all()):
+        raise SlammotError(f"{name} is not finite")
+    values, vectors = np.linalg.eigh(edge.information)
+    if not values[-1] > 0.0 or values[0] < -1e-6 * values[-1]:
+        raise SlammotError(f"the information of {name} is not positive semi-definite")
+    root = np.sqrt(np.maximum(values, 1e-9 * values[-1]))[:, None] * vectors.T
+    return gtsam.noiseModel.Gaussian.SqrtInformation(root)
+
+
+def _checked(cov: FloatArray, name: str) -> FloatArray:
+    cov = 0.5 * (cov + cov.T)
+    if not is_covariance(cov):
+        raise SlammotError(f"the covariance of {name} is not positive definite: the graph is ill-posed there")
+    return cov

@@ -1,0 +1,8 @@
+"""Where the robot is: dead reckoning, the paper's scan-to-scan matching, and ours, scan to map with a pose graph."""
+
+from slammot_graph.localization.dead_reckoning import DeadReckoning
+from slammot_graph.localization.localizer import Estimate, FinalEstimate, Localizer
+from slammot_graph.localization.scan_to_map import ScanToMap
+from slammot_graph.localization.scan_to_scan import ScanToScan
+
+__all__ = ["DeadReckoning", "Estimate", "FinalEstimate", "Localizer", "ScanToMap", "ScanToScan"]

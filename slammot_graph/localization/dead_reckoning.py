@@ -1,0 +1,59 @@
+"""The trajectory that the wheels tell."""
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate
+from slammot_graph.result_types import MatchResult
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray
+
+
+class DeadReckoning:
+    """Odometry alone; the local frame is the map, and starts at the first scan."""
+
+    T_map_local = se2.IDENTITY
+
+    def __init__(self, noise: OdometryNoise) -> None:
+        self.noise = noise
+        self._T_odom_base: FloatArray | None = None
+        self.estimate = Estimate(T_local_base=se2.IDENTITY, cov_relative=FIRST_COV, cov_absolute=FIRST_COV)
+        self._history: list[Estimate] = []
+
+    def predict(self, scan: Scan) -> Estimate:
+        """See `Localizer`."""
+        if self._T_odom_base is not None:
+            increment = se2.between(self._T_odom_base, scan.T_odom_base)
+            cov = self.noise.covariance(increment)
+            self.estimate = Estimate(
+                T_local_base=se2.compose(self.estimate.T_local_base, increment),
+                cov_relative=cov,
+                cov_absolute=se2.compound_covariance(self.estimate.cov_absolute, increment, cov),
+            )
+        self._T_odom_base = scan.T_odom_base
+        return self.estimate
+
+    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+        """See `Localizer`; there is none."""
+        return self.estimate, None
+
+    def commit(
+        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
+    ) -> tuple[int | None, list[str]]:
+        """See `Localizer`."""
+        self._history.append(self.estimate)
+        return None, []
+
+    def final(self) -> FinalEstimate:
+        """See `Localizer`."""
+        return FinalEstimate(
+            T_map_base=np.array([e.T_local_base for e in self._history]).reshape(-1, 3),
+            cov_map=np.array([e.cov_absolute for e in self._history]).reshape(-1, 3, 3),
+            node_scans=np.empty(0, dtype=np.int64),
+            nodes=np.empty((0, 3)),
+            edges=(),
+        )
+
+    def close(self) -> None:
+        """See `Localizer`."""

@@ -1,0 +1,88 @@
+"""What the pipeline asks of a localizer, and what it gets."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from slammot_graph.linalg import invert
+from slammot_graph.result_types import GraphEdge, MatchResult
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """A pose in the local frame, which is smooth: no closure makes it jump.
+
+    Attributes
+    ----------
+    T_local_base : (3,) array
+    cov_relative : (3, 3) array
+        Relative to the local map's anchor; for localizers without one, to the previous scan.
+    cov_absolute : (3, 3) array
+        In the map. Both are right perturbations (body frame).
+    """
+
+    T_local_base: FloatArray
+    cov_relative: FloatArray
+    cov_absolute: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FinalEstimate:
+    """The trajectory of n scans and the pose graph of m nodes, as best known now.
+
+    Attributes
+    ----------
+    T_map_base : (n, 3) array
+    cov_map : (n, 3, 3) array
+        Right perturbation (body frame).
+    node_scans : (m,) int array
+        Scan index of each node.
+    nodes : (m, 3) array, map frame
+    edges : tuple of GraphEdge
+    """
+
+    T_map_base: FloatArray
+    cov_map: FloatArray
+    node_scans: IntArray
+    nodes: FloatArray
+    edges: tuple[GraphEdge, ...]
+
+
+class Localizer(Protocol):
+    """Predict, match and commit, in this order, once a scan."""
+
+    @property
+    def T_map_local(self) -> FloatArray:
+        """(3,) where the local frame lies in the map now."""
+
+    def predict(self, scan: Scan) -> Estimate:
+        """Carry the last estimate along the odometry to the new scan."""
+
+    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+        """Match the static points (n, 2) of the new scan; the prediction comes back where that fails."""
+
+    def commit(
+        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
+    ) -> tuple[int | None, list[str]]:
+        """Keep the scan: in the graph and the local map where it brings something new.
+
+        Returns the number of the node that was added, if any, and what a person should know.
+        """
+
+    def final(self) -> FinalEstimate:
+        """Give the whole trajectory, optimised."""
+
+    def close(self) -> None:
+        """Release threads."""
+
+
+def fuse(cov_predicted: FloatArray, match: MatchResult) -> FloatArray:
+    """(3, 3) covariance of a prediction and a match taken together."""
+    return invert(invert(cov_predicted) + match.information)
+
+
+FIRST_COV: FloatArray = 1e-8 * np.eye(3)
+FIRST_COV.setflags(write=False)

@@ -1,0 +1,185 @@
+"""Our localization: scans matched onto the local map, keyframes joined in the pose graph."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.graph import PoseGraph, PoseGraphConfig
+from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.linalg import invert
+from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse
+from slammot_graph.matching import (
+    LocalMap,
+    LocalMapConfig,
+    PointToLineConfig,
+    make_keyframe,
+    match_to_local_map,
+)
+from slammot_graph.result_types import MatchResult
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Visit:
+    """Where a scan hangs: on the latest node, and with what covariance on the local map's anchor."""
+
+    node: int
+    T_node_base: FloatArray
+    anchor: int
+    T_anchor_base: FloatArray
+    cov_relative: FloatArray
+
+
+class ScanToMap:
+    """Point-to-line matching on a local map in front, a pose graph behind.
+
+    The local frame is that of the matching alone; the graph says where it lies in the map.
+    """
+
+    def __init__(
+        self,
+        noise: OdometryNoise,
+        local_map: LocalMapConfig,
+        matching: PointToLineConfig,
+        graph: PoseGraphConfig,
+        n_lost: int,
+    ) -> None:
+        self.noise = noise
+        self.matching = matching
+        self.n_lost = n_lost
+        self.local_map = LocalMap(local_map)
+        self.graph = PoseGraph(graph)
+        self._T_local_base: FloatArray = se2.IDENTITY
+        self._cov_relative: FloatArray = FIRST_COV
+        self._cov_anchor: FloatArray = FIRST_COV
+        self._T_odom_base: FloatArray | None = None
+        self._match: MatchResult | None = None
+        # since the last node
+        self._T_odom_node: FloatArray = se2.IDENTITY
+        self._T_local_node: FloatArray = se2.IDENTITY
+        self._T_map_node: FloatArray = se2.IDENTITY
+        self._cov_odometry: FloatArray = np.zeros((3, 3))
+        self._n_failed = 0
+        self._node_scans: list[int] = []
+        self._visits: list[_Visit] = []
+
+    @property
+    def T_map_local(self) -> FloatArray:
+        """See `Localizer`."""
+        return se2.compose(self._T_map_node, se2.inverse(self._T_local_node))
+
+    def predict(self, scan: Scan) -> Estimate:
+        """See `Localizer`."""
+        if self._T_odom_base is not None:
+            increment = se2.between(self._T_odom_base, scan.T_odom_base)
+            cov = self.noise.covariance(increment)
+            self._T_local_base = se2.compose(self._T_local_base, increment)
+            self._cov_relative = se2.compound_covariance(self._cov_relative, increment, cov)
+            self._cov_odometry = se2.compound_covariance(self._cov_odometry, increment, cov)
+        self._T_odom_base = scan.T_odom_base
+        return self._estimate()
+
+    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+        """See `Localizer`."""
+        self._match = None
+        if self.local_map.keyframes:
+            self._match, self._T_local_base = match_to_local_map(
+                points_base, is_static, self.local_map, self._T_local_base, self._cov_relative, self.matching
+            )
+            self._cov_relative = fuse(self._cov_relative, self._match)
+        return self._estimate(), self._match
+
+    def commit(
+        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
+    ) -> tuple[int | None, list[str]]:
+        """See `Localizer`."""
+        events = []
+        if self._match is not None and self._match.status == "failed":
+            self._n_failed += 1
+            events.append(f"match failed: {self._match.reason}")
+            if self._n_failed >= self.n_lost:
+                self.local_map.start([])
+                self._n_failed = 0
+                events.append(f"lost: {self.n_lost} matches failed in a row, a new local map begins here")
+        else:
+            self._n_failed = 0
+        node = None
+        if self.local_map.wants(self._T_local_base):
+            node = self._add_node(scan)
+            self._add_keyframe(node, points_base, is_static)
+        T_anchor_base = se2.between(self.local_map.anchor.T_local_base, self._T_local_base)
+        visit = _Visit(
+            node=len(self.graph) - 1,
+            T_node_base=se2.between(self._T_local_node, self._T_local_base),
+            anchor=self.local_map.anchor.node,
+            T_anchor_base=T_anchor_base,
+            cov_relative=self._cov_relative,
+        )
+        self._visits.append(visit)
+        return node, events
+
+    def final(self) -> FinalEstimate:
+        """See `Localizer`."""
+        if not self._visits:
+            nothing = np.empty((0, 3))
+            no_nodes = np.empty(0, dtype=np.int64)
+            return FinalEstimate(
+                T_map_base=nothing, cov_map=np.empty((0, 3, 3)), node_scans=no_nodes, nodes=nothing, edges=()
+            )
+        nodes, marginals = self.graph.poses(), self.graph.marginals()
+        on_node = np.array([v.node for v in self._visits])
+        on_anchor = np.array([v.anchor for v in self._visits])
+        A = se2.adjoint(se2.inverse(np.array([v.T_anchor_base for v in self._visits])))
+        cov_relative = np.array([v.cov_relative for v in self._visits])
+        return FinalEstimate(
+            T_map_base=se2.compose(nodes[on_node], np.array([v.T_node_base for v in self._visits])),
+            cov_map=A @ marginals[on_anchor] @ np.swapaxes(A, -1, -2) + cov_relative,
+            node_scans=np.array(self._node_scans),
+            nodes=nodes,
+            edges=tuple(self.graph.edges),
+        )
+
+    def close(self) -> None:
+        """See `Localizer`."""
+        self.graph.close()
+
+    def _estimate(self) -> Estimate:
+        cov_absolute = self._cov_anchor
+        if self.local_map.keyframes:
+            T_anchor_base = se2.between(self.local_map.anchor.T_local_base, self._T_local_base)
+            cov_absolute = se2.compound_covariance(self._cov_anchor, T_anchor_base, self._cov_relative)
+        return Estimate(
+            T_local_base=self._T_local_base, cov_relative=self._cov_relative, cov_absolute=cov_absolute
+        )
+
+    def _add_node(self, scan: Scan) -> int:
+        """Add the scan to the graph, tied by odometry to the last node and by the match to the anchor."""
+        if len(self.graph) == 0:
+            node = self.graph.start(self._T_local_base)
+        else:
+            last = len(self.graph) - 1
+            node = self.graph.add_node(se2.compose(self.T_map_local, self._T_local_base))
+            T_last_node = se2.between(self._T_odom_node, scan.T_odom_base)
+            self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
+            if self._match is not None and self._match.status != "failed":
+                anchor = self.local_map.anchor.node
+                self.graph.add_edge("match", anchor, node, self._match.T_ref_base, self._match.information)
+            self.graph.update()
+        self._T_map_node = self.graph.pose(node)
+        self._T_local_node = self._T_local_base
+        self._T_odom_node = scan.T_odom_base
+        self._cov_odometry = np.zeros((3, 3))
+        self._node_scans.append(scan.index)
+        return node
+
+    def _add_keyframe(self, node: int, points_base: FloatArray, is_static: BoolArray) -> None:
+        """Add the node's scan to the local map; take the covariance to its anchor from the graph."""
+        keyframe = make_keyframe(node, self._T_local_base, points_base, is_static, self.local_map.config)
+        is_first = not self.local_map.keyframes
+        is_new_map = self.local_map.add(keyframe)
+        anchor = self.local_map.anchor.node
+        if is_first or is_new_map:
+            self._cov_anchor = self.graph.marginal(anchor)
+        self._cov_relative = FIRST_COV if anchor == node else self.graph.relative_covariance(anchor, node)

@@ -1,0 +1,46 @@
+"""The paper's localization: each scan matched onto the static points of the one before."""
+
+from slammot_graph import se2
+from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.localization.dead_reckoning import DeadReckoning
+from slammot_graph.localization.localizer import Estimate
+from slammot_graph.matching import PointToPointConfig, match_scans
+from slammot_graph.result_types import MatchResult
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray
+
+
+class ScanToScan(DeadReckoning):
+    """Dead reckoning whose increments come from point-to-point ICP, started at the odometry's."""
+
+    def __init__(self, noise: OdometryNoise, config: PointToPointConfig) -> None:
+        super().__init__(noise)
+        self.config = config
+        self._before: Estimate = self.estimate
+        self._reference: tuple[FloatArray, BoolArray] | None = None
+
+    def predict(self, scan: Scan) -> Estimate:
+        """See `Localizer`."""
+        self._before = self.estimate
+        return super().predict(scan)
+
+    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+        """See `Localizer`."""
+        if self._reference is None:
+            return self.estimate, None
+        start = se2.between(self._before.T_local_base, self.estimate.T_local_base)
+        match = match_scans(*self._reference, points_base, is_static, start, self.config)
+        if match.status != "failed":
+            self.estimate = Estimate(
+                T_local_base=se2.compose(self._before.T_local_base, match.T_ref_base),
+                cov_relative=match.cov,
+                cov_absolute=se2.compound_covariance(self._before.cov_absolute, match.T_ref_base, match.cov),
+            )
+        return self.estimate, match
+
+    def commit(
+        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
+    ) -> tuple[int | None, list[str]]:
+        """See `Localizer`."""
+        self._reference = points_base, is_static
+        return super().commit(scan, points_base, is_static)

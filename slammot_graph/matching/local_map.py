@@ -1,0 +1,195 @@
+"""The local map: the static points of the latest keyframes, ready for nearest-point queries in constant time."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.matching import _kernels
+from slammot_graph.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalMapConfig:
+    """When a keyframe is taken, how many make a local map, and how its points are thinned.
+
+    Attributes
+    ----------
+    keyframe_distance_m, keyframe_rotation_rad : float
+        Motion since the last keyframe that makes the next one.
+    max_keyframes : int
+        A local map with this many is full and gives way to a new one ...
+    n_overlap : int
+        ... that starts with the latest `n_overlap` keyframes, anchored at the first of them.
+    cell_m, reach_m : float
+        Resolution of the nearest-point field, and how far from a point it reaches.
+    spacing_m : float
+        A point nearer than this to a like one is left out.
+    field_m : float
+        Side of the square after which the field repeats itself; more than twice the laser's range.
+    normal_half_window : int
+        Beams on either side that make a normal.
+    normal_max_gap_m, normal_max_thickness_m : float
+        Largest step between neighbouring points of a line, and its largest root mean square thickness.
+    """
+
+    keyframe_distance_m: float = 0.3
+    keyframe_rotation_rad: float = 0.2
+    max_keyframes: int = 15
+    n_overlap: int = 8
+    cell_m: float = 0.05
+    reach_m: float = 0.4
+    spacing_m: float = 0.05
+    field_m: float = 100.0
+    normal_half_window: int = 3
+    normal_max_gap_m: float = 0.4
+    normal_max_thickness_m: float = 0.03
+
+    def __post_init__(self) -> None:
+        for name in (
+            "keyframe_distance_m",
+            "keyframe_rotation_rad",
+            "cell_m",
+            "reach_m",
+            "spacing_m",
+            "field_m",
+            "normal_max_gap_m",
+            "normal_max_thickness_m",
+        ):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"local_map.{name} must be positive, not {getattr(self, name)}")
+        if not 1 <= self.n_overlap < self.max_keyframes:
+            raise ConfigError("local_map needs 1 <= n_overlap < max_keyframes")
+        if self.normal_half_window < 1:
+            raise ConfigError(
+                f"local_map.normal_half_window must be at least 1, not {self.normal_half_window}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Keyframe:
+    """A scan that became part of a local map.
+
+    Attributes
+    ----------
+    node : int
+        Its node in the pose graph.
+    T_local_base : (3,) array
+        Where the local matching placed it.
+    points_base, normals_base : (m, 2) arrays
+        Static points with a normal, base frame.
+    """
+
+    node: int
+    T_local_base: FloatArray
+    points_base: FloatArray
+    normals_base: FloatArray
+
+
+def make_keyframe(
+    node: int,
+    T_local_base: FloatArray,
+    points_base: FloatArray,
+    is_static: BoolArray,
+    config: LocalMapConfig,
+) -> Keyframe:
+    """Take the static points of a scan that lie on lines, with their normals."""
+    normals = np.empty_like(points_base)
+    _kernels.estimate_normals(
+        points_base,
+        is_static,
+        config.normal_half_window,
+        config.normal_max_gap_m,
+        config.normal_max_thickness_m,
+        normals,
+    )
+    has_normal = normals.any(axis=1)
+    return Keyframe(
+        node=node,
+        T_local_base=T_local_base,
+        points_base=points_base[has_normal],
+        normals_base=normals[has_normal],
+    )
+
+
+class LocalMap:
+    """Points with normals in the local frame, and for each cell around them the nearest one.
+
+    The field wraps around and is never cleared: a cell holds the running number of a point, and numbers below
+    `first` belong to earlier local maps.
+
+    Attributes
+    ----------
+    keyframes : list of Keyframe
+        The first one is the anchor.
+    points, normals : (capacity, 2) arrays
+        Ring buffers by running number.
+    nearest : (side, side) int32 array
+    first, end : int
+        Running numbers of the current points.
+    """
+
+    CAPACITY = 1 << 16
+
+    def __init__(self, config: LocalMapConfig) -> None:
+        self.config = config
+        self.keyframes: list[Keyframe] = []
+        self.inv_cell = 1.0 / config.cell_m
+        side = 1 << math.ceil(math.log2(config.field_m / config.cell_m))
+        self.points = np.zeros((self.CAPACITY, 2))
+        self.normals = np.zeros((self.CAPACITY, 2))
+        self.nearest = np.full((side, side), -1, dtype=np.int32)
+        self.first = self.end = 0
+
+    @property
+    def anchor(self) -> Keyframe:
+        """The keyframe that the local map hangs on."""
+        return self.keyframes[0]
+
+    def wants(self, T_local_base: FloatArray) -> bool:
+        """Tell whether the robot has moved enough since the last keyframe, or there is none."""
+        if not self.keyframes:
+            return True
+        moved = se2.between(self.keyframes[-1].T_local_base, T_local_base)
+        return bool(
+            math.hypot(moved[0], moved[1]) > self.config.keyframe_distance_m
+            or abs(moved[2]) > self.config.keyframe_rotation_rad
+        )
+
+    def add(self, keyframe: Keyframe) -> bool:
+        """Take in a keyframe; True when that filled the map and a new one, with a new anchor, took over."""
+        self.keyframes.append(keyframe)
+        if len(self.keyframes) <= self.config.max_keyframes:
+            self._insert(keyframe)
+            return False
+        self.start(self.keyframes[-self.config.n_overlap :])
+        return True
+
+    def start(self, keyframes: list[Keyframe]) -> None:
+        """Begin a new local map from the given keyframes; with none it is empty."""
+        self.keyframes = list(keyframes)
+        self.first = self.end
+        for keyframe in self.keyframes:
+            self._insert(keyframe)
+
+    def current_points(self) -> FloatArray:
+        """(n, 2) points of the local map in the local frame [m]."""
+        return self.points[np.arange(self.first, self.end) % self.CAPACITY]
+
+    def _insert(self, keyframe: Keyframe) -> None:
+        T = keyframe.T_local_base
+        self.end = _kernels.insert_points(
+            self.points,
+            self.normals,
+            self.nearest,
+            self.inv_cell,
+            self.first,
+            self.end,
+            se2.transform(T, keyframe.points_base),
+            keyframe.normals_base @ se2.rotation(T[2]).T,
+            np.ones(len(keyframe.points_base), dtype=np.bool_),
+            self.config.spacing_m,
+            math.ceil(self.config.reach_m * self.inv_cell),
+        )

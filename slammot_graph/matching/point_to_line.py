@@ -1,0 +1,225 @@
+"""Our match: static points of a scan onto the lines of the local map, robust, started at the prediction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.linalg import invert
+from slammot_graph.matching import _kernels
+from slammot_graph.matching.local_map import LocalMap
+from slammot_graph.result_types import MatchResult, MatchStatus
+from slammot_graph.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointToLineConfig:
+    """Noise, robustness and stopping of the point-to-line match.
+
+    Attributes
+    ----------
+    residual_std_m : float
+        Standard deviation of one residual, of the scan and of the map together.
+    floor_std_m : float
+        What no match is better than, for errors common to all beams; added per direction, a rotation counted
+        at the mean distance of the points.
+    kernel_scale_m : float
+        Geman-McClure: a residual of this size gets a quarter of the weight.
+    max_iterations : int
+    min_step_m, min_step_rad : float
+        Stop when a step is smaller than both.
+    min_pairs : int
+    min_inlier_ratio : float
+        Sum of weights over points used, below which the match has failed.
+    weak_ratio : float
+        A direction is weak if its share of the information (scaled to metres, per pair) is below this; it
+        carries none into the graph.
+    search_m, search_rad : float
+        A failed match is tried again from starts this far around the prediction.
+    """
+
+    residual_std_m: float = 0.03
+    floor_std_m: float = 0.004
+    kernel_scale_m: float = 0.1
+    max_iterations: int = 20
+    min_step_m: float = 1e-4
+    min_step_rad: float = 1e-5
+    min_pairs: int = 15
+    min_inlier_ratio: float = 0.3
+    weak_ratio: float = 0.01
+    search_m: float = 0.25
+    search_rad: float = 0.15
+
+    def __post_init__(self) -> None:
+        for name in ("residual_std_m", "kernel_scale_m", "min_step_m", "min_step_rad"):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"point_to_line.{name} must be positive, not {getattr(self, name)}")
+        for name in ("floor_std_m", "weak_ratio", "search_m", "search_rad"):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(f"point_to_line.{name} must not be negative, not {getattr(self, name)}")
+        if self.max_iterations < 1 or self.min_pairs < 3:
+            raise ConfigError("point_to_line needs max_iterations >= 1 and min_pairs >= 3")
+        if not 0.0 <= self.min_inlier_ratio < 1.0:
+            raise ConfigError(
+                f"point_to_line.min_inlier_ratio must be in [0, 1), not {self.min_inlier_ratio}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Solution:
+    T: FloatArray
+    H: FloatArray
+    g: FloatArray
+    stats: FloatArray
+    iterations: int
+
+    @property
+    def inlier_ratio(self) -> float:
+        return float(self.stats[2] / max(self.stats[0], 1.0))
+
+
+def match_to_local_map(
+    points_base: FloatArray,
+    is_static: BoolArray,
+    local_map: LocalMap,
+    T_local_base: FloatArray,
+    cov_predicted: FloatArray,
+    config: PointToLineConfig,
+) -> tuple[MatchResult, FloatArray]:
+    """Match a scan onto the local map.
+
+    Parameters
+    ----------
+    points_base : (n, 2) array [m]
+    is_static : (n,) bool array
+        Points to use.
+    local_map : LocalMap
+    T_local_base : (3,) array
+        Predicted base in the local frame: the start, and the mean of the prior.
+    cov_predicted : (3, 3) array
+        Its covariance (body frame). The prior decides where the match is weak, and only there.
+
+    Returns
+    -------
+    MatchResult
+        `T_ref_base` is relative to the local map's anchor and free of the prior where the match is well determined.
+    (3,) array
+        The estimate with the prior, base in the local frame; the prediction itself if the match failed.
+    """
+    prior = invert(cov_predicted)
+    best = _solve(points_base, is_static, local_map, T_local_base, T_local_base, prior, config)
+    if best.inlier_ratio < config.min_inlier_ratio or best.stats[1] < config.min_pairs:
+        for start in _starts_around(T_local_base, config):
+            other = _solve(points_base, is_static, local_map, start, T_local_base, prior, config)
+            if other.stats[2] > best.stats[2]:
+                best = other
+    return _judge(best, local_map, T_local_base, points_base, is_static, config)
+
+
+def _solve(
+    points_base: FloatArray,
+    is_static: BoolArray,
+    local_map: LocalMap,
+    T_start: FloatArray,
+    T_prior: FloatArray,
+    prior: FloatArray,
+    config: PointToLineConfig,
+) -> _Solution:
+    T, H, g, stats = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(4)
+    iterations = _kernels.match_point_to_line(
+        local_map.points,
+        local_map.normals,
+        local_map.nearest,
+        local_map.inv_cell,
+        local_map.first,
+        points_base,
+        is_static,
+        T_start,
+        T_prior,
+        prior,
+        config.residual_std_m,
+        local_map.config.reach_m,
+        config.kernel_scale_m,
+        config.max_iterations,
+        config.min_step_m,
+        config.min_step_rad,
+        T,
+        H,
+        g,
+        stats,
+    )
+    return _Solution(T=T, H=H, g=g, stats=stats, iterations=iterations)
+
+
+def _starts_around(T: FloatArray, config: PointToLineConfig) -> list[FloatArray]:
+    steps = [
+        np.array([x * config.search_m, y * config.search_m, a * config.search_rad])
+        for a in (0.0, -0.5, 0.5, -1.0, 1.0)
+        for x in (0.0, -1.0, 1.0)
+        for y in (0.0, -1.0, 1.0)
+        if x or y or a
+    ]
+    return [se2.compose(T, step) for step in steps]
+
+
+def _judge(
+    solution: _Solution,
+    local_map: LocalMap,
+    T_predicted: FloatArray,
+    points_base: FloatArray,
+    is_static: BoolArray,
+    config: PointToLineConfig,
+) -> tuple[MatchResult, FloatArray]:
+    """Tell converged, degenerate and failed apart, and give the match its covariance."""
+    n_pairs, sum_weights, sum_squares = int(solution.stats[1]), solution.stats[2], solution.stats[3]
+    residual_m = float(np.sqrt(sum_squares / max(sum_weights, 1e-9)))
+    reason = ""
+    if n_pairs < config.min_pairs:
+        reason = f"only {n_pairs} points found a partner"
+    elif solution.inlier_ratio < config.min_inlier_ratio:
+        reason = f"only {100 * solution.inlier_ratio:.0f}% of the points agree with the local map"
+    if reason:
+        information, status, T = np.zeros((3, 3)), "failed", T_predicted
+        T_free = T_predicted
+    else:
+        lever_m = float(np.sqrt(np.mean(np.sum(points_base[is_static] ** 2, axis=1))))
+        information, pseudo_inverse, n_weak = _information(solution.H, n_pairs, lever_m, config)
+        status = "converged" if n_weak == 0 else "degenerate"
+        reason = "" if n_weak == 0 else f"{n_weak} of 3 directions are not determined"
+        T = solution.T
+        T_free = se2.compose(T, -pseudo_inverse @ solution.g)
+    cov = invert(information + 1e-6 * np.eye(3))
+    match_status: MatchStatus = status  # type: ignore[assignment]
+    result = MatchResult(
+        status=match_status,
+        T_ref_base=se2.between(local_map.anchor.T_local_base, T_free),
+        cov=cov,
+        information=information,
+        n_iterations=solution.iterations,
+        n_correspondences=n_pairs,
+        inlier_ratio=solution.inlier_ratio,
+        residual_m=residual_m,
+        reason=reason,
+    )
+    return result, T
+
+
+def _information(
+    H: FloatArray, n_pairs: int, lever_m: float, config: PointToLineConfig
+) -> tuple[FloatArray, FloatArray, int]:
+    """Information of a match from its normal matrix, weak directions left out.
+
+    Returns the information (3, 3), the pseudo-inverse of H on the strong directions, and the number of weak ones.
+    Directions are compared after scaling the rotation by `lever_m`.
+    """
+    scale = np.array([1.0, 1.0, 1.0 / lever_m])
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    is_strong = values > config.weak_ratio * n_pairs
+    variance = config.residual_std_m**2 / np.maximum(values, 1e-12) + config.floor_std_m**2
+    # the scaled tangent is (x, y, lever * theta): information goes back with 1 / scale
+    back = vectors / scale[:, None]
+    information = (back * np.where(is_strong, 1.0 / variance, 0.0)) @ back.T
+    forth = vectors * scale[:, None]
+    pseudo_inverse = (forth * np.where(is_strong, 1.0 / np.maximum(values, 1e-12), 0.0)) @ forth.T
+    return information, pseudo_inverse, int(np.count_nonzero(~is_strong))

@@ -1,0 +1,83 @@
+"""The ladder of methods: a name for each frozen configuration, each rung one change."""
+
+from dataclasses import dataclass, replace
+
+from slammot_graph.baselines import KissIcpConfig
+from slammot_graph.errors import ConfigError
+from slammot_graph.pipeline import PipelineConfig
+
+Config = PipelineConfig | KissIcpConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A name, what it stands for, and its configuration."""
+
+    name: str
+    summary: str
+    config: Config
+
+
+_GRAPH = PipelineConfig()
+_ICP = PipelineConfig(matcher="scan-to-scan", filter_moving=False, judge_again=False, occupy_with_moving=True)
+_DOCPFO = replace(_ICP, filter_moving=True, test_covariance="constant")
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method(
+            name="odometry",
+            summary="dead reckoning on the wheels, no matching",
+            config=replace(_ICP, matcher="none"),
+        ),
+        Method(name="icp", summary="the paper's ICP: scan to scan, point to point, no filter", config=_ICP),
+        Method(
+            name="docpfo",
+            summary="the paper: icp on points that the test with constant R_r calls static, map from all points",
+            config=_DOCPFO,
+        ),
+        Method(
+            name="graph",
+            summary="ours: point to line on a local map, pose graph, test with the marginal relative to its anchor",
+            config=_GRAPH,
+        ),
+        Method(
+            name="graph-fixed",
+            summary="graph, with the paper's constant R_r in the test",
+            config=replace(_GRAPH, test_covariance="constant"),
+        ),
+        Method(
+            name="graph-absolute",
+            summary="graph, with the absolute marginal in the test",
+            config=replace(_GRAPH, test_covariance="absolute"),
+        ),
+        Method(
+            name="graph-nofilter",
+            summary="graph, without a moving-point test",
+            config=replace(_GRAPH, filter_moving=False),
+        ),
+        Method(
+            name="kiss-icp",
+            summary="kiss-icp 1.3 on z = 0 points, best 2D setting, constant velocity start",
+            config=KissIcpConfig(),
+        ),
+        Method(
+            name="kiss-icp-odometry",
+            summary="kiss-icp, started from the odometry",
+            config=KissIcpConfig(use_odometry=True),
+        ),
+    )
+}
+
+
+def get_method(name: str) -> Method:
+    """Look a method up.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name; the text lists those that are.
+    """
+    if name not in METHODS:
+        raise ConfigError(f'no method "{name}"; there are {", ".join(METHODS)}')
+    return METHODS[name]

@@ -1,0 +1,234 @@
+"""Kernels of the moving-point test: end-point covariances, ellipses on the grid, clusters of beams."""
+
+import math
+
+import numpy as np
+
+from slammot_graph._numba import kernel
+from slammot_graph.motion.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+
+@kernel
+def end_point_covariances(
+    ranges: FloatArray,
+    angles_base: FloatArray,
+    origin_base: FloatArray,
+    theta: float,
+    cov_pose: FloatArray,
+    range_std: float,
+    angle_std: float,
+    out: FloatArray,
+) -> None:
+    """Fill `out` (n, 3) with (xx, xy, yy) of each end point's covariance in the frame of the pose (eq. 9).
+
+    ``H_r R_r H_r' + H_l R_l H_l'`` with the pose perturbed in the body frame: ``H_r = R [I | (-py, px)']`` and
+    ``H_l = R [u | r u_perp]``.
+    """
+    c = math.cos(theta)
+    s = math.sin(theta)
+    for k in range(ranges.shape[0]):
+        r = ranges[k]
+        ux = math.cos(angles_base[k])
+        uy = math.sin(angles_base[k])
+        px = origin_base[0] + r * ux
+        py = origin_base[1] + r * uy
+        # H_r R_r H_r' in the base frame, J = [I | (-py, px)']
+        xx = cov_pose[0, 0] - 2.0 * py * cov_pose[0, 2] + py * py * cov_pose[2, 2]
+        xy = cov_pose[0, 1] + px * cov_pose[0, 2] - py * cov_pose[1, 2] - px * py * cov_pose[2, 2]
+        yy = cov_pose[1, 1] + 2.0 * px * cov_pose[1, 2] + px * px * cov_pose[2, 2]
+        # H_l R_l H_l'
+        var_r = range_std * range_std
+        var_t = r * r * angle_std * angle_std
+        xx += var_r * ux * ux + var_t * uy * uy
+        xy += (var_r - var_t) * ux * uy
+        yy += var_r * uy * uy + var_t * ux * ux
+        # into the frame of the pose
+        out[k, 0] = c * c * xx - 2.0 * c * s * xy + s * s * yy
+        out[k, 1] = c * s * (xx - yy) + (c * c - s * s) * xy
+        out[k, 2] = s * s * xx + 2.0 * c * s * xy + c * c * yy
+
+
+@kernel
+def _edge_distance2(ax: float, ay: float, bx: float, by: float, p: float, q: float, r: float) -> float:
+    """Least of ``v' [[p, q], [q, r]] v`` over v on the segment from a to b."""
+    ex = bx - ax
+    ey = by - ay
+    ee = p * ex * ex + 2.0 * q * ex * ey + r * ey * ey
+    ae = p * ax * ex + q * (ax * ey + ay * ex) + r * ay * ey
+    t = min(max(-ae / ee, 0.0), 1.0)
+    vx = ax + t * ex
+    vy = ay + t * ey
+    return p * vx * vx + 2.0 * q * vx * vy + r * vy * vy
+
+
+@kernel
+def _touches(dx: float, dy: float, size: float, p: float, q: float, r: float, limit2: float) -> bool:
+    """Tell whether the ellipse ``v' [[p, q], [q, r]] v <= limit2`` at 0 touches the cell with lower corner (dx, dy)."""
+    if dx <= 0.0 and dy <= 0.0 and dx + size >= 0.0 and dy + size >= 0.0:
+        return True
+    x1 = dx + size
+    y1 = dy + size
+    return (
+        _edge_distance2(dx, dy, x1, dy, p, q, r) <= limit2
+        or _edge_distance2(dx, y1, x1, y1, p, q, r) <= limit2
+        or _edge_distance2(dx, dy, dx, y1, p, q, r) <= limit2
+        or _edge_distance2(x1, dy, x1, y1, p, q, r) <= limit2
+    )
+
+
+@kernel
+def ellipse_test(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    resolution: float,
+    oldest: int,
+    is_fixed: bool,
+    l_free: float,
+    l_occupied: float,
+    points: FloatArray,
+    cov: FloatArray,
+    is_valid: BoolArray,
+    n_sigma: float,
+    max_cells: int,
+    out: IntArray,
+) -> None:
+    """Fill `out` with what the cells under each end point's ellipse say: FREE only if every one of them is free.
+
+    `cov` is (n, 3): xx, xy, yy. The first cell that is not free decides; an ellipse that spans more than
+    `max_cells` cells is TOO_UNCERTAIN.
+    """
+    rows, cols = log_odds.shape
+    inv_resolution = 1.0 / resolution
+    for k in range(points.shape[0]):
+        if not is_valid[k]:
+            out[k] = NOT_VALID
+            continue
+        x = points[k, 0]
+        y = points[k, 1]
+        half_x = n_sigma * math.sqrt(cov[k, 0])
+        half_y = n_sigma * math.sqrt(cov[k, 2])
+        i_c = math.floor(y * inv_resolution)
+        j_c = math.floor(x * inv_resolution)
+        i_lo = math.floor((y - half_y) * inv_resolution)
+        i_hi = math.floor((y + half_y) * inv_resolution)
+        j_lo = math.floor((x - half_x) * inv_resolution)
+        j_hi = math.floor((x + half_x) * inv_resolution)
+        det = cov[k, 0] * cov[k, 2] - cov[k, 1] * cov[k, 1]
+        p = cov[k, 2] / det
+        q = -cov[k, 1] / det
+        r = cov[k, 0] / det
+        verdict = FREE
+        # the cell of the end point itself first: it decides nearly always
+        for m in range(-1, (i_hi - i_lo + 1) * (j_hi - j_lo + 1)):
+            if m < 0:
+                i = i_c
+                j = j_c
+            else:
+                i = i_lo + m // (j_hi - j_lo + 1)
+                j = j_lo + m % (j_hi - j_lo + 1)
+            i_s = i - row0
+            j_s = j - col0
+            if is_fixed and (i_s < 0 or i_s >= rows or j_s < 0 or j_s >= cols):
+                value = 0.0
+            else:
+                i_s &= rows - 1
+                j_s &= cols - 1
+                value = log_odds[i_s, j_s] if stamp[i_s, j_s] >= oldest else 0.0
+            if value < l_free:
+                if m < 0 and (i_hi - i_lo + 1) * (j_hi - j_lo + 1) > max_cells:
+                    verdict = TOO_UNCERTAIN
+                    break
+                continue
+            if m >= 0 and not _touches(
+                j * resolution - x, i * resolution - y, resolution, p, q, r, n_sigma * n_sigma
+            ):
+                continue
+            verdict = OCCUPIED if value > l_occupied else UNKNOWN
+            break
+        out[k] = verdict
+
+
+@kernel
+def cluster_beams(
+    points: FloatArray, is_member: BoolArray, max_gap: float, max_skipped_beams: int, out: IntArray
+) -> int:
+    """Label member beams with cluster numbers from 0 (-1 for others): subsets by distance, along the scan.
+
+    A beam joins the cluster of any member among the `max_skipped_beams` + 1 beams before it that is nearer than
+    `max_gap` [m]; two clusters that a beam ties together become one. Returns the number of clusters.
+    """
+    n = points.shape[0]
+    gap2 = max_gap * max_gap
+    parent = np.empty(n, dtype=np.int64)
+    for k in range(n):
+        parent[k] = k
+        if not is_member[k]:
+            continue
+        for m in range(max(0, k - max_skipped_beams - 1), k):
+            if not is_member[m]:
+                continue
+            dx = points[k, 0] - points[m, 0]
+            dy = points[k, 1] - points[m, 1]
+            if dx * dx + dy * dy <= gap2:
+                a = m
+                while parent[a] != a:
+                    a = parent[a]
+                b = k
+                while parent[b] != b:
+                    b = parent[b]
+                parent[max(a, b)] = min(a, b)
+    n_clusters = 0
+    for k in range(n):
+        out[k] = -1
+        if not is_member[k]:
+            continue
+        if parent[k] == k:
+            out[k] = n_clusters
+            n_clusters += 1
+        else:
+            a = parent[k]
+            while parent[a] != a:
+                a = parent[a]
+            out[k] = out[a]
+    return n_clusters
+
+
+@kernel
+def discard_clusters(
+    points: FloatArray,
+    labels: IntArray,
+    n_clusters: int,
+    min_points: int,
+    max_x_range: float,
+    max_y_range: float,
+    is_kept: BoolArray,
+) -> None:
+    """Mark in `is_kept` (n_clusters,) the clusters with enough points and within MAX X RANGE and MAX Y RANGE."""
+    counts = np.zeros(n_clusters, dtype=np.int64)
+    box = np.empty((n_clusters, 4))
+    for k in range(labels.shape[0]):
+        c = labels[k]
+        if c < 0:
+            continue
+        x = points[k, 0]
+        y = points[k, 1]
+        if counts[c] == 0:
+            box[c, 0] = x
+            box[c, 1] = x
+            box[c, 2] = y
+            box[c, 3] = y
+        else:
+            box[c, 0] = min(box[c, 0], x)
+            box[c, 1] = max(box[c, 1], x)
+            box[c, 2] = min(box[c, 2], y)
+            box[c, 3] = max(box[c, 3], y)
+        counts[c] += 1
+    for c in range(n_clusters):
+        is_kept[c] = (
+            counts[c] >= min_points
+            and box[c, 1] - box[c, 0] <= max_x_range
+            and box[c, 3] - box[c, 2] <= max_y_range
+        )

@@ -1,0 +1,72 @@
+"""Subsets of moving points by distance; too few points, or too wide for a person: discarded."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.errors import ConfigError
+from slammot_graph.motion import _kernels
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClusterConfig:
+    """How moving points are grouped and which groups are kept.
+
+    Attributes
+    ----------
+    max_gap_m : float
+        Points nearer than this belong together.
+    max_skipped_beams : int
+        Beams in between that may belong to something else.
+    min_points : int
+        MINNUMBER: smaller subsets are discarded.
+    max_x_range_m, max_y_range_m : float
+        MAX X RANGE, MAX Y RANGE: wider subsets are discarded.
+    """
+
+    max_gap_m: float = 0.4
+    max_skipped_beams: int = 10
+    min_points: int = 2
+    max_x_range_m: float = 1.5
+    max_y_range_m: float = 1.5
+
+    def __post_init__(self) -> None:
+        if not self.max_gap_m > 0.0:
+            raise ConfigError(f"clusters.max_gap_m must be positive, not {self.max_gap_m}")
+        if self.max_skipped_beams < 0:
+            raise ConfigError(
+                f"clusters.max_skipped_beams must not be negative, not {self.max_skipped_beams}"
+            )
+        if self.min_points < 1:
+            raise ConfigError(f"clusters.min_points must be at least 1, not {self.min_points}")
+        if not (self.max_x_range_m > 0.0 and self.max_y_range_m > 0.0):
+            raise ConfigError("clusters.max_x_range_m and clusters.max_y_range_m must be positive")
+
+
+def find_clusters(points: FloatArray, is_member: BoolArray, config: ClusterConfig) -> tuple[IntArray, int]:
+    """Group the member points of a scan and drop the groups that are no person.
+
+    Parameters
+    ----------
+    points : (n, 2) array [m]
+        In beam order.
+    is_member : (n,) bool array
+
+    Returns
+    -------
+    labels : (n,) int array
+        Cluster number from 0; -1 for points that are not members or were discarded.
+    n_clusters : int
+    """
+    labels = np.full(len(points), -1, dtype=np.int64)
+    if not is_member.any():
+        return labels, 0
+    n = _kernels.cluster_beams(points, is_member, config.max_gap_m, config.max_skipped_beams, labels)
+    is_kept = np.zeros(n, dtype=np.bool_)
+    _kernels.discard_clusters(
+        points, labels, n, config.min_points, config.max_x_range_m, config.max_y_range_m, is_kept
+    )
+    number = np.full(n + 1, -1, dtype=np.int64)  # the last entry serves label -1
+    number[:n][is_kept] = np.arange(np.count_nonzero(is_kept))
+    return number[labels], int(np.count_nonzero(is_kept))

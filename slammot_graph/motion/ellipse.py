@@ -1,0 +1,187 @@
+"""The moving-point test: an end point moves if its covariance ellipse covers free cells only."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.errors import ConfigError
+from slammot_graph.grid import OccupancyGrid
+from slammot_graph.motion import _kernels, reasons
+from slammot_graph.motion.clusters import ClusterConfig, find_clusters
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionConfig:
+    """The test's beam noise and limits.
+
+    Attributes
+    ----------
+    range_std_m, angle_std_rad : float
+        R_l = diag(range_std^2, angle_std^2): noise of a beam (eq. 9).
+    n_sigma : float
+        Size of the ellipse; 2.448 holds 95% in two dimensions.
+    max_cells : int
+        An ellipse that spans more cells decides nothing.
+    stand_back_share : float
+        If more than this share of the valid beams seems to move, none is called moving: a wrong pose looks
+        just like that, and removing everything would lock the error in.
+    """
+
+    range_std_m: float = 0.01
+    angle_std_rad: float = 0.005
+    n_sigma: float = 2.448
+    max_cells: int = 10_000
+    stand_back_share: float = 0.75
+
+    def __post_init__(self) -> None:
+        if not (self.range_std_m > 0.0 and self.angle_std_rad > 0.0):
+            raise ConfigError("motion.range_std_m and motion.angle_std_rad must be positive")
+        if not self.n_sigma > 0.0:
+            raise ConfigError(f"motion.n_sigma must be positive, not {self.n_sigma}")
+        if self.max_cells < 1:
+            raise ConfigError(f"motion.max_cells must be at least 1, not {self.max_cells}")
+        if not 0.0 < self.stand_back_share <= 1.0:
+            raise ConfigError(f"motion.stand_back_share must be in (0, 1], not {self.stand_back_share}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Detection:
+    """Labels of one scan; every array has one entry a beam.
+
+    Attributes
+    ----------
+    is_moving : (n,) bool array
+    p_moving : (n,) array
+        The label as 0 or 1; NaN for a beam without a valid return.
+    reason : (n,) int array
+        Index into `motion.REASONS`.
+    cluster : (n,) int array
+        Number of the cluster of a moving beam, -1 for others.
+    n_clusters : int
+    point_cov : (n, 2, 2) array [m^2]
+        Covariance of the end points in the frame of the pose.
+    """
+
+    is_moving: BoolArray
+    p_moving: FloatArray
+    reason: IntArray
+    cluster: IntArray
+    n_clusters: int
+    point_cov: FloatArray
+
+    @classmethod
+    def nothing(cls, is_valid: BoolArray) -> "Detection":
+        """Call every beam of a scan static, as a method without a moving-point test does."""
+        n = len(is_valid)
+        return cls(
+            is_moving=np.zeros(n, dtype=np.bool_),
+            p_moving=np.where(is_valid, 0.0, np.nan),
+            reason=np.where(is_valid, reasons.OCCUPIED, reasons.NOT_VALID),
+            cluster=np.full(n, -1),
+            n_clusters=0,
+            point_cov=np.zeros((n, 2, 2)),
+        )
+
+
+def _packed_covariances(
+    scan: Scan, T_a_base: FloatArray, cov_pose: FloatArray, config: MotionConfig
+) -> FloatArray:
+    """(n, 3) xx, xy, yy of `end_point_covariances`."""
+    packed = np.empty((len(scan.ranges), 3))
+    _kernels.end_point_covariances(
+        scan.ranges,
+        scan.laser.angles_base,
+        scan.laser.origin_base,
+        float(T_a_base[2]),
+        cov_pose,
+        config.range_std_m,
+        config.angle_std_rad,
+        packed,
+    )
+    return packed
+
+
+def _as_matrices(packed: FloatArray) -> FloatArray:
+    return packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+
+def end_point_covariances(
+    scan: Scan, T_a_base: FloatArray, cov_pose: FloatArray, config: MotionConfig
+) -> FloatArray:
+    """Covariance of each end point in frame a: ``H_r R_r H_r' + H_l R_l H_l'`` (eq. 9).
+
+    Parameters
+    ----------
+    scan : Scan
+        of n beams.
+    T_a_base : (3,) array
+    cov_pose : (3, 3) array
+        R_r: covariance of the pose, right perturbation (body frame).
+
+    Returns
+    -------
+    (n, 2, 2) array [m^2].
+    """
+    return _as_matrices(_packed_covariances(scan, T_a_base, cov_pose, config))
+
+
+def detect_moving(
+    scan: Scan,
+    is_valid: BoolArray,
+    T_a_base: FloatArray,
+    cov_pose: FloatArray,
+    grid: OccupancyGrid,
+    config: MotionConfig,
+    clusters: ClusterConfig,
+) -> Detection:
+    """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
+
+    Parameters
+    ----------
+    scan : Scan
+        of n beams.
+    is_valid : (n,) bool array
+    T_a_base : (3,) array
+        Base in the grid's frame a.
+    cov_pose : (3, 3) array
+        Covariance of that pose, right perturbation (body frame).
+    grid : OccupancyGrid
+    """
+    n = len(scan.ranges)
+    points = scan.points(T_a_base)
+    packed = _packed_covariances(scan, T_a_base, cov_pose, config)
+    reason = np.empty(n, dtype=np.int64)
+    _kernels.ellipse_test(
+        grid.log_odds,
+        grid.stamp,
+        grid.row0,
+        grid.col0,
+        grid.config.resolution_m,
+        grid.oldest,
+        not grid.is_rolling,
+        grid.l_free,
+        grid.l_occupied,
+        points,
+        packed,
+        is_valid,
+        config.n_sigma,
+        config.max_cells,
+        reason,
+    )
+    is_free = reason == reasons.FREE
+    cluster, n_clusters = find_clusters(points, is_free, clusters)
+    is_moving = cluster >= 0
+    reason[is_free & ~is_moving] = reasons.DISCARDED
+    if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
+        reason[is_moving] = reasons.STOOD_BACK
+        is_moving, cluster, n_clusters = np.zeros(n, dtype=np.bool_), np.full(n, -1), 0
+    return Detection(
+        is_moving=is_moving,
+        p_moving=np.where(is_valid, is_moving.astype(np.float64), np.nan),
+        reason=reason,
+        cluster=cluster,
+        n_clusters=n_clusters,
+        point_cov=_as_matrices(packed),
+    )

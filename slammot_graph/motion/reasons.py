@@ -1,0 +1,13 @@
+"""Why a beam was called moving or not: the numbers in `StepResult.reason` index `REASONS`."""
+
+NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK = range(7)
+
+REASONS = (
+    "no valid return",
+    "static: an occupied cell under the ellipse",
+    "static: an unknown cell under the ellipse",
+    "moving: only free cells under the ellipse",
+    "static: the ellipse is too large to decide",
+    "static: free cells only, but its cluster is too small or too wide",
+    "static: too much of the scan seemed to move",
+)

@@ -1,0 +1,285 @@
+"""The step: predict, detect, match, graph, map, objects. One scan in, one `StepResult` out."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
+from slammot_graph.graph.pose_graph import PoseGraphConfig
+from slammot_graph.grid import GridConfig, OccupancyGrid
+from slammot_graph.linalg import mahalanobis2
+from slammot_graph.localization import (
+    DeadReckoning,
+    Estimate,
+    FinalEstimate,
+    Localizer,
+    ScanToMap,
+    ScanToScan,
+)
+from slammot_graph.matching import LocalMapConfig, PointToLineConfig, PointToPointConfig
+from slammot_graph.motion import (
+    ClusterConfig,
+    Detection,
+    MotionConfig,
+    TrackConfig,
+    Tracker,
+    detect_moving,
+)
+from slammot_graph.result_types import GridMap, MatchResult, StepResult, TrackState
+from slammot_graph.scan import Scan
+from slammot_graph.stopwatch import Stopwatch
+from slammot_graph.types import BoolArray, FloatArray
+
+Matcher = Literal["none", "scan-to-scan", "scan-to-map"]
+TestCovariance = Literal["constant", "relative", "absolute"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipelineConfig:
+    """What a method does; the methods of the ladder differ from each other in these fields only.
+
+    Attributes
+    ----------
+    matcher : "none", "scan-to-scan" (the paper's) or "scan-to-map" (point to line, with the pose graph)
+    filter_moving : bool
+        Run the moving-point test and leave moving points out of the match.
+    test_covariance : "constant", "relative" or "absolute"
+        Pose covariance in the test: the paper's R_r, the graph's marginal relative to the local map's anchor,
+        or its absolute marginal.
+    judge_again : bool
+        Repeat the test at the matched pose before the map is updated.
+    occupy_with_moving : bool
+        Moving points occupy cells too (the paper's map takes ALL points).
+    max_range_m : float
+        Farther returns are left aside.
+    n_window_keyframes : int
+        The test's map forgets cells that no scan touched since this many keyframes ("scan-to-map" only).
+    n_lost : int
+        After this many failed matches in a row a new local map is started.
+    constant_noise : ConstantNoise
+        The paper's R_r, for `test_covariance` "constant".
+    odometry_noise : OdometryNoise
+        R_r of the odometry factors and of the prediction.
+    grid, motion, clusters, tracks, local_map, point_to_line, point_to_point, graph
+        Configuration of the stages.
+    """
+
+    matcher: Matcher = "scan-to-map"
+    filter_moving: bool = True
+    test_covariance: TestCovariance = "relative"
+    judge_again: bool = True
+    occupy_with_moving: bool = False
+    max_range_m: float = 40.0
+    n_window_keyframes: int = 60
+    n_lost: int = 5
+    constant_noise: ConstantNoise = field(default_factory=ConstantNoise)
+    odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
+    grid: GridConfig = field(default_factory=GridConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    clusters: ClusterConfig = field(default_factory=ClusterConfig)
+    tracks: TrackConfig = field(default_factory=TrackConfig)
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
+    point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
+    point_to_point: PointToPointConfig = field(default_factory=PointToPointConfig)
+    graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+
+    def __post_init__(self) -> None:
+        if not self.max_range_m > 0.0:
+            raise ConfigError(f"max_range_m must be positive, not {self.max_range_m}")
+        if self.n_window_keyframes < 1 or self.n_lost < 1:
+            raise ConfigError("n_window_keyframes and n_lost must be at least 1")
+        if self.matcher != "scan-to-map" and self.filter_moving and self.test_covariance != "constant":
+            raise ConfigError(
+                f'matcher "{self.matcher}" has no pose graph: set test_covariance to "constant"'
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _View:
+    """What a node saw."""
+
+    scan: Scan
+    is_valid: BoolArray
+    is_static: BoolArray
+
+
+class Pipeline:
+    """Localizes, maps and detects moving objects, one scan at a time.
+
+    Parameters
+    ----------
+    config : PipelineConfig
+        As of a method of the ladder, or your own.
+
+    Examples
+    --------
+    >>> pipeline = Pipeline(get_method("graph").config)            # doctest: +SKIP
+    >>> for scan in open_log("intel.clf.bz2"):                     # doctest: +SKIP
+    ...     result = pipeline.step(scan)
+    """
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self.config = config
+        self.localizer = _make_localizer(config)
+        self.tracker = Tracker(config.tracks)
+        window_m = 2.0 * config.max_range_m + 20.0 if config.matcher == "scan-to-map" else None
+        self.grid = OccupancyGrid(config.grid, window_m=window_m)
+        self._node_views: list[_View] = []
+        self._stopwatch = Stopwatch()
+
+    def step(self, scan: Scan) -> StepResult:
+        """Take in the next scan."""
+        watch = self._stopwatch
+        watch.restart()
+        with watch.stage("predict"):
+            is_valid = scan.is_valid(self.config.max_range_m)
+            points_base = scan.points_base()
+            predicted = self.localizer.predict(scan)
+        with watch.stage("detect"):
+            detection = self._detect(scan, is_valid, predicted)
+        with watch.stage("match"):
+            matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
+            nis = _innovation_nis(predicted, matched, match)
+        if self.config.judge_again and match is not None:
+            with watch.stage("detect"):
+                detection = self._detect(scan, is_valid, matched)
+        is_static = is_valid & ~detection.is_moving
+        with watch.stage("graph"):
+            node, events = self.localizer.commit(scan, points_base, is_static)
+        with watch.stage("map"):
+            self._update_map(scan, points_base, is_valid, is_static, matched, node)
+        with watch.stage("objects"):
+            tracks = self._track(scan, detection, matched)
+        T_map_local = self.localizer.T_map_local
+        return StepResult(
+            scan=scan,
+            T_map_base=se2.compose(T_map_local, matched.T_local_base),
+            cov_map=matched.cov_absolute,
+            T_map_base_predicted=se2.compose(T_map_local, predicted.T_local_base),
+            cov_relative=self._test_covariance(predicted),
+            is_valid=is_valid,
+            is_moving=detection.is_moving,
+            p_moving=detection.p_moving,
+            reason=detection.reason,
+            point_cov_map=_turn(detection.point_cov, T_map_local[2]),
+            match=match,
+            innovation_nis=nis,
+            tracks=tracks,
+            node=node,
+            events=tuple(events),
+            stage_ms=watch.read(),
+        )
+
+    def final(self) -> FinalEstimate:
+        """Give the trajectory and the graph of all scans so far, optimised."""
+        return self.localizer.final()
+
+    def render_map(self) -> GridMap:
+        """Render the map: from the nodes' scans at their optimised poses where there is a graph."""
+        if not self.grid.is_rolling:
+            return self.grid.to_map()
+        grid = OccupancyGrid(self.config.grid)
+        for number, (view, T_map_base) in enumerate(
+            zip(self._node_views, self.localizer.final().nodes, strict=True)
+        ):
+            ends = se2.transform(
+                T_map_base, np.vstack([view.scan.laser.origin_base, view.scan.points_base()])
+            )
+            is_hit = view.is_valid if self.config.occupy_with_moving else view.is_static
+            grid.update(number, ends[0], ends[1:], view.is_valid, is_hit)
+        return grid.to_map()
+
+    def close(self) -> None:
+        """Release the pose graph's thread."""
+        self.localizer.close()
+
+    def _test_covariance(self, estimate: Estimate) -> FloatArray:
+        """Pose covariance that the moving-point test uses."""
+        if self.config.test_covariance == "constant":
+            return self.config.constant_noise.covariance(se2.IDENTITY)
+        if self.config.test_covariance == "absolute":
+            return estimate.cov_absolute
+        return estimate.cov_relative
+
+    def _detect(self, scan: Scan, is_valid: BoolArray, estimate: Estimate) -> Detection:
+        if not self.config.filter_moving:
+            return Detection.nothing(is_valid)
+        return detect_moving(
+            scan,
+            is_valid,
+            estimate.T_local_base,
+            self._test_covariance(estimate),
+            self.grid,
+            self.config.motion,
+            self.config.clusters,
+        )
+
+    def _update_map(
+        self,
+        scan: Scan,
+        points_base: FloatArray,
+        is_valid: BoolArray,
+        is_static: BoolArray,
+        matched: Estimate,
+        node: int | None,
+    ) -> None:
+        """Static points occupy, all beams free the cells they cross."""
+        if node is not None:
+            self._node_views.append(_View(scan=scan, is_valid=is_valid, is_static=is_static))
+            self.grid.oldest = self._node_views[-self.config.n_window_keyframes :][0].scan.index
+        ends = np.vstack([scan.laser.origin_base, points_base])
+        ends = se2.transform(matched.T_local_base, ends)
+        is_hit = is_valid if self.config.occupy_with_moving else is_static
+        self.grid.update(scan.index, ends[0], ends[1:], is_valid, is_hit)
+
+    def _track(self, scan: Scan, detection: Detection, matched: Estimate) -> tuple[TrackState, ...]:
+        """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
+        if not detection.n_clusters and not self.tracker.tracks:
+            return ()
+        points = scan.points(matched.T_local_base)
+        beams = [np.flatnonzero(detection.cluster == c) for c in range(detection.n_clusters)]
+        centres = np.array([points[b].mean(axis=0) for b in beams]).reshape(-1, 2)
+        covs = np.array([detection.point_cov[b].mean(axis=0) for b in beams]).reshape(-1, 2, 2)
+        tracks = self.tracker.update(scan.stamp, centres, covs, beams)
+        T_map_local = self.localizer.T_map_local
+        R = se2.rotation(T_map_local[2])
+        return tuple(
+            TrackState(
+                track_id=track.track_id,
+                position=se2.transform(T_map_local, track.state[None, :2])[0],
+                velocity=R @ track.state[2:],
+                position_cov=R @ track.cov[:2, :2] @ R.T,
+                beams=track.beams,
+            )
+            for track in tracks
+        )
+
+
+def _make_localizer(config: PipelineConfig) -> Localizer:
+    if config.matcher == "none":
+        return DeadReckoning(config.odometry_noise)
+    if config.matcher == "scan-to-scan":
+        return ScanToScan(config.odometry_noise, config.point_to_point)
+    return ScanToMap(
+        config.odometry_noise, config.local_map, config.point_to_line, config.graph, config.n_lost
+    )
+
+
+def _innovation_nis(predicted: Estimate, matched: Estimate, match: MatchResult | None) -> float:
+    """Normalised innovation squared of the match: 3 degrees of freedom if prediction and match are honest."""
+    if match is None or match.status == "failed":
+        return math.nan
+    innovation = se2.log(se2.between(predicted.T_local_base, matched.T_local_base))
+    return mahalanobis2(innovation, predicted.cov_relative + match.cov)
+
+
+def _turn(cov: FloatArray, theta: float) -> FloatArray:
+    """Turn (n, 2, 2) covariances by an angle."""
+    if theta == 0.0:
+        return cov
+    R = se2.rotation(theta)
+    return R @ cov @ R.T
