@@ -116,8 +116,9 @@ class Scan:
             return (self.ranges > max(self.laser.range_min, 1e-3)) & (self.ranges < limit)
 
     def points_base(self) -> FloatArray:
-        """(n_beams, 2) end points in the base frame [m]: origin + r (cos, sin) (eq. 7)."""
-        return self.laser.origin_base + self.ranges[:, None] * self.laser.directions_base
+        """(n_beams, 2) end points in the base frame [m]: origin + r (cos, sin) (eq. 7); NaN for infinite r."""
+        ranges = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
+        return self.laser.origin_base + ranges[:, None] * self.laser.directions_base
 
     def points(self, T_a_base: FloatArray) -> FloatArray:
         """(n_beams, 2) end points carried into frame a [m] (eq. 2)."""

@@ -108,7 +108,7 @@ class ScanToMap:
         node = None
         if self.local_map.wants(self._T_local_base):
             node = self._add_node(scan)
-            self._add_keyframe(node, points_base, is_static)
+            self._add_keyframe(node, scan, points_base, is_static)
         T_anchor_base = se2.between(self.local_map.anchor.T_local_base, self._T_local_base)
         visit = _Visit(
             node=len(self.graph) - 1,
@@ -174,9 +174,16 @@ class ScanToMap:
         self._node_scans.append(scan.index)
         return node
 
-    def _add_keyframe(self, node: int, points_base: FloatArray, is_static: BoolArray) -> None:
+    def _add_keyframe(self, node: int, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> None:
         """Add the node's scan to the local map; take the covariance to its anchor from the graph."""
-        keyframe = make_keyframe(node, self._T_local_base, points_base, is_static, self.local_map.config)
+        keyframe = make_keyframe(
+            node,
+            self._T_local_base,
+            points_base,
+            is_static,
+            scan.laser.angle_increment,
+            self.local_map.config,
+        )
         is_first = not self.local_map.keyframes
         is_new_map = self.local_map.add(keyframe)
         anchor = self.local_map.anchor.node

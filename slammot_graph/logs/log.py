@@ -1,17 +1,23 @@
-"""What a log is, and the one door to all formats."""
+"""What a log is: a re-iterable stream of scans with odometry."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from slammot_graph.errors import InputError
 from slammot_graph.scan import Scan
 
 
 @dataclass(frozen=True, kw_only=True)
 class SkippedScan:
-    """A scan that could not be used: where it stands in the log (line, message or row) and why."""
+    """A scan that could not be used.
+
+    Attributes
+    ----------
+    place : str
+        Where it stands: "line 12" or "message 12 of /scan", counted from 1, or "row 12" of arrays, from 0.
+    reason : str
+    """
 
     place: str
     reason: str
@@ -20,8 +26,8 @@ class SkippedScan:
 class LaserLog(Protocol):
     """A re-iterable stream of scans with odometry, in the file's order.
 
-    Each iteration starts anew and reads from the file as it goes; a bad scan is left out, and `skipped`
-    lists those met by the latest iteration so far.
+    Each iteration starts anew and reads from the file as it goes; a bad scan is left out. `skipped` and
+    `warnings` belong to the iteration that was started last, and begin anew with it.
 
     Attributes
     ----------
@@ -29,28 +35,15 @@ class LaserLog(Protocol):
     n_scans : int
         Scan records in the file, usable or not; known without a full decode.
     skipped : list of SkippedScan
+        The scans left out so far.
+    warnings : list of str
+        What a person should know about the log: a mounting that had to be assumed, stamps that jump (noted
+        when the iteration ends).
     """
 
     path: Path
     n_scans: int
     skipped: list[SkippedScan]
+    warnings: list[str]
 
     def __iter__(self) -> Iterator[Scan]: ...
-
-
-def open_log(path: str | Path, *, scan_topic: str | None = None, odom_topic: str | None = None) -> LaserLog:
-    """Open a log of any known format, told by its name and its first bytes.
-
-    Parameters
-    ----------
-    path : str or Path
-        CARMEN (``.log .clf``, also ``.gz .bz2``), ROS 1 ``.bag``, a ROS 2 bag folder, ``.db3`` or ``.mcap``, ``.npz``.
-    scan_topic, odom_topic : str, optional
-        Which topics of a bag to use where several would do.
-
-    Raises
-    ------
-    InputError
-        No such file, an unknown format, a file without laser or odometry, a topic that is not there.
-    """
-    raise InputError(f"{path}: not yet")

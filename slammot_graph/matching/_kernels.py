@@ -7,6 +7,12 @@ import numpy as np
 from slammot_graph._numba import kernel
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
+LINE_FIRST_M2 = 0.04
+"""A point without a normal takes a cell from one with a normal only if it is so much nearer [m^2]."""
+
+POINT_WEIGHT = 0.2
+"""Weight of a point without a normal (foliage, a table leg) against one on a line."""
+
 
 @kernel
 def estimate_normals(
@@ -14,13 +20,14 @@ def estimate_normals(
     is_member: BoolArray,
     half_window: int,
     max_gap: float,
+    max_gap_slope: float,
     max_thickness: float,
     out: FloatArray,
 ) -> None:
     """Fill `out` (n, 2) with unit normals from neighbouring beams; (0, 0) where there is no line.
 
     The neighbours of a beam are up to `half_window` member beams on either side, as long as each is within
-    `max_gap` [m] of the one before; the points must lie within `max_thickness` [m] of their line.
+    `max_gap` [m] + `max_gap_slope` times the range of the one before; the points must lie within `max_thickness` [m] of their line.
     """
     n = points.shape[0]
     for k in range(n):
@@ -28,13 +35,15 @@ def estimate_normals(
         out[k, 1] = 0.0
         if not is_member[k]:
             continue
+        gap = max_gap + max_gap_slope * math.sqrt(points[k, 0] ** 2 + points[k, 1] ** 2)
+        gap2 = gap * gap
         sx = points[k, 0]
         sy = points[k, 1]
         lo = k
         while lo > 0 and k - lo < half_window and is_member[lo - 1]:
             dx = points[lo - 1, 0] - points[lo, 0]
             dy = points[lo - 1, 1] - points[lo, 1]
-            if dx * dx + dy * dy > max_gap * max_gap:
+            if dx * dx + dy * dy > gap2:
                 break
             lo -= 1
             sx += points[lo, 0]
@@ -43,7 +52,7 @@ def estimate_normals(
         while hi < n - 1 and hi - k < half_window and is_member[hi + 1]:
             dx = points[hi + 1, 0] - points[hi, 0]
             dy = points[hi + 1, 1] - points[hi, 1]
-            if dx * dx + dy * dy > max_gap * max_gap:
+            if dx * dx + dy * dy > gap2:
                 break
             hi += 1
             sx += points[hi, 0]
@@ -120,6 +129,7 @@ def insert_points(
         map_points[slot, 1] = y
         map_normals[slot, 0] = new_normals[k, 0]
         map_normals[slot, 1] = new_normals[k, 1]
+        handicap = LINE_FIRST_M2 if new_normals[k, 0] == 0.0 and new_normals[k, 1] == 0.0 else 0.0
         for i in range(ic - reach_cells, ic + reach_cells + 1):
             cy = (i + 0.5) * cell
             for j in range(jc - reach_cells, jc + reach_cells + 1):
@@ -128,7 +138,10 @@ def insert_points(
                 if other >= first:
                     ox = map_points[other % capacity, 0] - cx
                     oy = map_points[other % capacity, 1] - cy
-                    if ox * ox + oy * oy <= (x - cx) * (x - cx) + (y - cy) * (y - cy):
+                    other2 = ox * ox + oy * oy
+                    if map_normals[other % capacity, 0] == 0.0 and map_normals[other % capacity, 1] == 0.0:
+                        other2 += LINE_FIRST_M2
+                    if other2 <= (x - cx) * (x - cx) + (y - cy) * (y - cy) + handicap:
                         continue
                 nearest[i & mask, j & mask] = n_points
         n_points += 1
@@ -179,7 +192,8 @@ def accumulate(
 ) -> None:
     """Normal equations of the point-to-line match at pose T (right perturbation, body frame).
 
-    Row of a pair: ``n' R [I | (-py, px)']``, weighted by Geman-McClure ``(s^2 / (s^2 + r^2))^2``. `stats` gets
+    Row of a pair: ``n' R [I | (-py, px)']``, weighted by Geman-McClure ``(s^2 / (s^2 + r^2))^2``; where the map's
+    point has no normal, both axes of the offset count, with less weight. `stats` gets
     the number of points used, of pairs, the sum of weights, the weighted sum of squared residuals.
     """
     mask = nearest.shape[0] - 1
@@ -208,6 +222,25 @@ def accumulate(
             continue
         nx = map_normals[m, 0]
         ny = map_normals[m, 1]
+        if nx == 0.0 and ny == 0.0:
+            # no line: both axes of the offset count, in the body frame
+            r2 = dx * dx + dy * dy
+            w = kernel_scale2 / (kernel_scale2 + r2)
+            w = POINT_WEIGHT * w * w
+            n_pairs += 1
+            sum_w += w / POINT_WEIGHT
+            sum_wr2 += w * r2
+            ex = c * dx + s * dy
+            ey = -s * dx + c * dy
+            h00 += w
+            h02 -= w * py
+            h11 += w
+            h12 += w * px
+            h22 += w * (px * px + py * py)
+            g0 += w * ex
+            g1 += w * ey
+            g2 += w * (px * ey - py * ex)
+            continue
         r = nx * dx + ny * dy
         w = kernel_scale2 / (kernel_scale2 + r * r)
         w = w * w

@@ -29,10 +29,12 @@ class LocalMapConfig:
         A point nearer than this to a like one is left out.
     field_m : float
         Side of the square after which the field repeats itself; more than twice the laser's range.
-    normal_half_window : int
-        Beams on either side that make a normal.
-    normal_max_gap_m, normal_max_thickness_m : float
-        Largest step between neighbouring points of a line, and its largest root mean square thickness.
+    normal_half_window_rad : float
+        Beams up to this far on either side make a normal; at least 3.
+    normal_max_gap_m : float
+        Largest step between neighbouring points of a line, beside 3 times the beams' distance at that range.
+    normal_max_thickness_m : float
+        Largest root mean square thickness of a line.
     """
 
     keyframe_distance_m: float = 0.3
@@ -43,9 +45,9 @@ class LocalMapConfig:
     reach_m: float = 0.4
     spacing_m: float = 0.05
     field_m: float = 100.0
-    normal_half_window: int = 3
+    normal_half_window_rad: float = 0.0525
     normal_max_gap_m: float = 0.4
-    normal_max_thickness_m: float = 0.03
+    normal_max_thickness_m: float = 0.04
 
     def __post_init__(self) -> None:
         for name in (
@@ -55,6 +57,7 @@ class LocalMapConfig:
             "reach_m",
             "spacing_m",
             "field_m",
+            "normal_half_window_rad",
             "normal_max_gap_m",
             "normal_max_thickness_m",
         ):
@@ -62,10 +65,6 @@ class LocalMapConfig:
                 raise ConfigError(f"local_map.{name} must be positive, not {getattr(self, name)}")
         if not 1 <= self.n_overlap < self.max_keyframes:
             raise ConfigError("local_map needs 1 <= n_overlap < max_keyframes")
-        if self.normal_half_window < 1:
-            raise ConfigError(
-                f"local_map.normal_half_window must be at least 1, not {self.normal_half_window}"
-            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +78,7 @@ class Keyframe:
     T_local_base : (3,) array
         Where the local matching placed it.
     points_base, normals_base : (m, 2) arrays
-        Static points with a normal, base frame.
+        Static points and their normals, base frame; a normal of (0, 0) for a point that is on no line.
     """
 
     node: int
@@ -93,24 +92,26 @@ def make_keyframe(
     T_local_base: FloatArray,
     points_base: FloatArray,
     is_static: BoolArray,
+    angle_increment: float,
     config: LocalMapConfig,
 ) -> Keyframe:
-    """Take the static points of a scan that lie on lines, with their normals."""
+    """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on."""
     normals = np.empty_like(points_base)
+    step_rad = abs(angle_increment)
     _kernels.estimate_normals(
         points_base,
         is_static,
-        config.normal_half_window,
+        max(3, round(config.normal_half_window_rad / step_rad)),
         config.normal_max_gap_m,
+        3.0 * step_rad,
         config.normal_max_thickness_m,
         normals,
     )
-    has_normal = normals.any(axis=1)
     return Keyframe(
         node=node,
         T_local_base=T_local_base,
-        points_base=points_base[has_normal],
-        normals_base=normals[has_normal],
+        points_base=points_base[is_static],
+        normals_base=normals[is_static],
     )
 
 

@@ -1,0 +1,202 @@
+"""Logs as arrays in an ``.npz`` file: read, and written by the simulator."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from slammot_graph.errors import ConfigError, InputError
+from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
+from slammot_graph.scan import LaserModel, ScanTruth
+from slammot_graph.types import FloatArray
+
+SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
+REQUIRED = ("stamps", "ranges", *SCALARS, "odometry", "laser_pose")
+TRUTH = ("poses", "is_moving", "object_id")
+
+
+class ArrayLog(CheckedLog):
+    """A log kept in an ``.npz`` file, n scans of equal geometry; the keys are those of `write_npz_log`.
+
+    Other keys are ignored. The arrays are held in memory.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        It is not an ``.npz`` file, a key is missing, or an array has the wrong shape or kind.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._arrays = _checked(path, _load(path))
+        super().__init__(path, n_scans=len(self._arrays["stamps"]))
+        self._laser = _laser(path, self._arrays)
+
+    def _records(self) -> Records:
+        arrays = self._arrays
+        truth_keys = [key for key in TRUTH if key in arrays]
+        for row in range(self.n_scans):
+            truth = {key: arrays[key][row] for key in truth_keys}
+            yield RawScan(
+                place=f"row {row}",
+                stamp=float(arrays["stamps"][row]),
+                ranges=arrays["ranges"][row],
+                laser=self._laser,
+                T_odom_base=arrays["odometry"][row],
+                truth=_scan_truth(truth) if truth else None,
+            )
+
+
+def write_npz_log(
+    path: str | Path,
+    *,
+    stamps: npt.ArrayLike,
+    ranges: npt.ArrayLike,
+    angle_min: float,
+    angle_increment: float,
+    range_min: float,
+    range_max: float,
+    odometry: npt.ArrayLike,
+    laser_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
+    poses: npt.ArrayLike | None = None,
+    is_moving: npt.ArrayLike | None = None,
+    object_id: npt.ArrayLike | None = None,
+) -> None:
+    """Write a log that `open_log` reads back; an existing file is replaced.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, whose name should end in ``.npz``.
+    stamps : (n,) array [s]
+    ranges : (n, beams) array [m]
+    angle_min, angle_increment : float
+        Direction of beam 0 and the step to the next [rad], laser frame, counter-clockwise.
+    range_min, range_max : float
+        Limits of a valid return [m].
+    odometry : (n, 3) array
+        Base in odom: x [m], y [m], theta [rad].
+    laser_pose : (3,) array
+        Laser in base.
+    poses : (n, 3) array, optional
+        True base in world.
+    is_moving : (n, beams) bool array, optional
+        The beam hit something that moves.
+    object_id : (n, beams) int array, optional
+        Which object the beam hit; -1 for none.
+
+    Raises
+    ------
+    InputError
+        An array has the wrong shape or kind, or the file cannot be written.
+    """
+    path = Path(path)
+    given: dict[str, npt.ArrayLike | None] = {
+        "stamps": stamps,
+        "ranges": ranges,
+        "angle_min": angle_min,
+        "angle_increment": angle_increment,
+        "range_min": range_min,
+        "range_max": range_max,
+        "odometry": odometry,
+        "laser_pose": laser_pose,
+        "poses": poses,
+        "is_moving": is_moving,
+        "object_id": object_id,
+    }
+    arrays = _checked(path, {key: np.asarray(value) for key, value in given.items() if value is not None})
+    _laser(path, arrays)
+    try:
+        with path.open("wb") as file:
+            members: dict[str, Any] = {**arrays}
+            np.savez_compressed(file, **members)
+    except OSError as err:
+        raise InputError(f"{path}: cannot be written ({one_line(err)}); choose another place") from None
+
+
+def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The known arrays of a file."""
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            return {key: _member(path, file, key) for key in (*REQUIRED, *TRUTH) if key in file.files}
+    except InputError:
+        raise
+    except Exception as err:  # the decoders of a damaged file may raise anything
+        raise InputError(f"{path}: cannot be read as .npz ({one_line(err)}); write it anew") from None
+
+
+def _member(path: Path, file: "np.lib.npyio.NpzFile", key: str) -> npt.NDArray[Any]:
+    try:
+        array: npt.NDArray[Any] = file[key]
+    except Exception as err:  # as above, and object arrays are refused
+        raise InputError(
+            f"{path}: `{key}` cannot be read ({one_line(err)}); write it as a plain array of numbers"
+        ) from None
+    return array
+
+
+def _checked(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """The arrays with their kinds and shapes made sure of."""
+    missing = [key for key in REQUIRED if key not in arrays]
+    if missing:
+        raise InputError(f"{path}: lacks {', '.join(missing)}; a log needs the keys {', '.join(REQUIRED)}")
+    converted = {key: _converted(path, key, array) for key, array in arrays.items()}
+    if converted["ranges"].ndim != 2:
+        raise InputError(
+            f"{path}: `ranges` has shape {converted['ranges'].shape}; it needs a row a scan, a column a beam"
+        )
+    n_scans, n_beams = converted["ranges"].shape
+    if n_scans == 0:
+        raise InputError(f"{path}: holds no scans; `ranges` needs one row a scan")
+    shapes = {
+        "stamps": (n_scans,),
+        "odometry": (n_scans, 3),
+        "laser_pose": (3,),
+        "poses": (n_scans, 3),
+        "is_moving": (n_scans, n_beams),
+        "object_id": (n_scans, n_beams),
+        **dict.fromkeys(SCALARS, ()),
+    }
+    for key, shape in shapes.items():
+        if key in converted and converted[key].shape != shape:
+            raise InputError(
+                f"{path}: `{key}` has shape {converted[key].shape} where {shape} is needed for"
+                f" `ranges` of shape {(n_scans, n_beams)}"
+            )
+    return converted
+
+
+def _converted(path: Path, key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """An array as bool, int or float, as its key asks for; a scalar in brackets loses them."""
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{path}: `{key}` is of type {array.dtype}; write it as an array of numbers")
+    if key in SCALARS and array.size == 1:
+        array = array.reshape(())
+    kinds: dict[str, type] = {"is_moving": np.bool_, "object_id": np.int64}
+    return np.asarray(array, dtype=kinds.get(key, np.float64), order="C")
+
+
+def _laser(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> LaserModel:
+    laser_pose: FloatArray = arrays["laser_pose"]
+    if not np.isfinite(laser_pose).all():
+        raise InputError(f"{path}: `laser_pose` is not finite; give x, y, theta of the laser in the base")
+    x, y, theta = laser_pose.tolist()
+    try:
+        return LaserModel(
+            **{key: float(arrays[key]) for key in SCALARS},
+            n_beams=arrays["ranges"].shape[1],
+            T_base_laser=(x, y, theta),
+        )
+    except ConfigError as err:
+        raise InputError(f"{path}: {err}; correct {', '.join(SCALARS)}") from None
+
+
+def _scan_truth(row: Mapping[str, npt.NDArray[Any]]) -> ScanTruth:
+    return ScanTruth(
+        T_world_base=row.get("poses"), is_moving=row.get("is_moving"), object_id=row.get("object_id")
+    )

@@ -1,0 +1,137 @@
+"""Messages of a ROS 1 or ROS 2 bag, with every failure of the reader told as an `InputError`."""
+
+import math
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from slammot_graph.errors import InputError
+from slammot_graph.logs.bag_topics import Topic
+from slammot_graph.logs.checked import one_line
+
+
+class BagMessage(NamedTuple):
+    """One message of a bag.
+
+    Attributes
+    ----------
+    number : int
+        Which message of the ones asked for, from 1.
+    bag_stamp : float
+        When it was recorded [s].
+    content : object or None
+        The message as rosbags decodes it; None where it cannot be decoded.
+    """
+
+    number: int
+    bag_stamp: float
+    content: Any
+
+
+class Bag:
+    """An open bag, from `open_bag`.
+
+    Attributes
+    ----------
+    path : Path
+    topics : list of Topic
+    """
+
+    def __init__(self, path: Path, reader: AnyReader) -> None:
+        self.path = path
+        self._reader = reader
+        counts: dict[tuple[str, str], int] = {}
+        for connection in reader.connections:
+            key = (connection.topic, connection.msgtype)
+            counts[key] = counts.get(key, 0) + connection.msgcount
+        self.topics = [Topic(name=name, msgtype=kind, n_messages=n) for (name, kind), n in counts.items()]
+
+    def messages(
+        self, topics: Sequence[Topic], *, first_seconds: float | None = None
+    ) -> Generator[BagMessage, None, None]:
+        """Messages of some topics in the order of recording, all or those of the bag's first seconds.
+
+        Raises
+        ------
+        InputError
+            The bag is damaged here.
+        """
+        names = {(x.name, x.msgtype) for x in topics}
+        connections = [x for x in self._reader.connections if (x.topic, x.msgtype) in names]
+        if not connections:
+            return  # rosbags would take an empty choice for all topics
+        stop = None if first_seconds is None else self._reader.start_time + int(first_seconds * 1e9)
+        number = 0
+        with closing(self._reader.messages(connections, stop=stop)) as stream:
+            while True:
+                try:
+                    record = next(stream, None)
+                except Exception as err:  # the decoders of a damaged file may raise anything
+                    raise _unreadable(self.path, err) from None
+                if record is None:
+                    return
+                connection, bag_stamp_ns, raw = record
+                number += 1
+                yield BagMessage(number, bag_stamp_ns * 1e-9, self._decode(raw, connection.msgtype))
+
+    def _decode(self, raw: bytes, msgtype: str) -> Any:
+        try:
+            return self._reader.deserialize(raw, msgtype)
+        except Exception:  # as above; the caller leaves this message out and says so
+            return None
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a ``.bag``, a ROS 2 bag folder, a ``.db3`` or a ``.mcap`` file and close it again.
+
+    Raises
+    ------
+    InputError
+        It is not a bag, cut short, or not indexed.
+    """
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except Exception as err:  # the decoders of a damaged file may raise anything
+        raise _unreadable(path, err) from None
+    try:
+        yield Bag(path, reader)
+    finally:
+        reader.close()
+
+
+def _unreadable(path: Path, err: Exception) -> InputError:
+    tool = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 .recover"}
+    remedy = tool.get(path.suffix, "ros2 bag reindex")
+    return InputError(
+        f"{path}: the bag is damaged or cut short ({one_line(err)}); copy it again, or mend it with `{remedy}`"
+    )
+
+
+def transforms(message: BagMessage) -> Sequence[Any]:
+    """Transforms of a tf message; none where it could not be decoded."""
+    return () if message.content is None else message.content.transforms
+
+
+def header_stamp(content: Any) -> float:
+    """Time in a message's header [s]."""
+    return float(content.header.stamp.sec + content.header.stamp.nanosec * 1e-9)
+
+
+def frame_name(name: str) -> str:
+    """A frame's name without the leading slash of older ROS."""
+    return name.lstrip("/")
+
+
+def planar_pose(position: Any, orientation: Any) -> tuple[float, float, float]:
+    """x, y [m] and the heading [rad] of a pose in space; the heading of a zero quaternion is not a number."""
+    qx, qy, qz, qw = orientation.x, orientation.y, orientation.z, orientation.w
+    if qx == qy == qz == qw == 0.0:
+        return position.x, position.y, math.nan
+    theta = math.atan2(2.0 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
+    return position.x, position.y, theta

@@ -1,0 +1,57 @@
+"""The laser's mounting as the transforms (tf) of a bag tell it."""
+
+import math
+from collections.abc import Generator, Sequence
+from contextlib import closing
+
+from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, transforms
+from slammot_graph.logs.bag_topics import TF_TYPES
+from slammot_graph.logs.mounting import FrameTree, Mounting, mounting_from_transform, transform_matrix
+
+MOUNTING_SEARCH_S = 60.0
+"""How much of a bag's start is searched for transforms that are not static."""
+
+
+def find_mounting(bag: Bag, base_frames: Sequence[str], laser_frame: str) -> tuple[Mounting, list[str]]:
+    """The laser in the base by tf, with warnings; the identity, and a warning, where tf does not tell."""
+    tree = FrameTree()
+    with closing(_mounting_messages(bag)) as messages:
+        for message in messages:
+            _add_transforms(tree, message)
+            if tree.between(base_frames[0], laser_frame) is not None:
+                break
+    for base_frame in base_frames:
+        T_base_laser = tree.between(base_frame, laser_frame)
+        if T_base_laser is not None:
+            mounting = mounting_from_transform(T_base_laser)
+            return mounting, _tilt_warnings(mounting, laser_frame)
+    return Mounting(T_base_laser=(0.0, 0.0, 0.0)), [
+        f"tf does not tell where frame {laser_frame or '(unnamed)'} sits on {base_frames[0]};"
+        " the laser is taken to sit on the base"
+    ]
+
+
+def _add_transforms(tree: FrameTree, message: BagMessage) -> None:
+    for transform in transforms(message):
+        rotation, translation = transform.transform.rotation, transform.transform.translation
+        quaternion = (rotation.x, rotation.y, rotation.z, rotation.w)
+        if math.isfinite(norm := math.hypot(*quaternion)) and norm > 0.0:
+            matrix = transform_matrix((translation.x, translation.y, translation.z), quaternion)
+            tree.add(frame_name(transform.header.frame_id), frame_name(transform.child_frame_id), matrix)
+
+
+def _mounting_messages(bag: Bag) -> Generator[BagMessage, None, None]:
+    """All static transforms, then the others of the bag's start."""
+    topics = [x for x in bag.topics if x.msgtype in TF_TYPES]
+    static = [x for x in topics if x.name.endswith("tf_static")]
+    yield from bag.messages(static)
+    yield from bag.messages([x for x in topics if x not in static], first_seconds=MOUNTING_SEARCH_S)
+
+
+def _tilt_warnings(mounting: Mounting, laser_frame: str) -> list[str]:
+    if mounting.is_level:
+        return []
+    return [
+        f"laser frame {laser_frame} is tilted by {math.degrees(mounting.tilt):.0f} degrees;"
+        " it is treated as if it lay in the robot's plane"
+    ]

@@ -1,0 +1,97 @@
+"""Which topics of a bag are the scans and the odometry."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from slammot_graph.errors import InputError
+
+SCAN_TYPES = ("sensor_msgs/msg/LaserScan",)
+ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
+POSE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+MIN_POSES_PER_SCAN = 0.1
+"""Pose topics with fewer messages hold goals or initial poses; they are not taken for odometry unasked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """A topic of a bag with its message type (``package/msg/Name``) and message count."""
+
+    name: str
+    msgtype: str
+    n_messages: int
+
+
+def choose_scan_topic(path: Path, topics: Sequence[Topic], requested: str | None) -> Topic:
+    """The topic of the laser scans.
+
+    Raises
+    ------
+    InputError
+        None fits, several do, or the requested one is not there or of another type.
+    """
+    fitting = _filled(topics, SCAN_TYPES)
+    if requested is not None:
+        return _requested(path, topics, fitting, requested, "--scan-topic", "LaserScan")
+    if not fitting:
+        raise InputError(f"{path}: no LaserScan messages; its topics are {_listed(topics)}")
+    return _only(path, fitting, "--scan-topic", "LaserScan")
+
+
+def choose_odometry_topic(
+    path: Path, topics: Sequence[Topic], requested: str | None, *, n_scans: int
+) -> Topic | None:
+    """The topic of the odometry: Odometry, else poses if there are enough; None where only tf is left.
+
+    Raises
+    ------
+    InputError
+        Several fit, the requested one is not there or of another type, or there is neither odometry nor tf.
+    """
+    transforms = _filled(topics, TF_TYPES)
+    if requested is not None:
+        fitting = _filled(topics, ODOMETRY_TYPES) + _filled(topics, POSE_TYPES) + transforms
+        topic = _requested(path, topics, fitting, requested, "--odom-topic", "odometry")
+        return None if topic in transforms else topic
+    poses = _filled(topics, POSE_TYPES)
+    frequent_poses = [x for x in poses if x.n_messages >= MIN_POSES_PER_SCAN * n_scans]
+    for fitting in (_filled(topics, ODOMETRY_TYPES), frequent_poses):
+        if fitting:
+            return _only(path, fitting, "--odom-topic", "odometry")
+    if transforms:
+        return None
+    hint = f" or name one of {_listed(poses)} with --odom-topic" if poses else ""
+    raise InputError(
+        f"{path}: no odometry (Odometry, PoseStamped, PoseWithCovarianceStamped or tf): record it{hint};"
+        f" its topics are {_listed(topics)}"
+    )
+
+
+def _filled(topics: Sequence[Topic], msgtypes: Sequence[str]) -> list[Topic]:
+    return [x for x in topics if x.msgtype in msgtypes and x.n_messages > 0]
+
+
+def _only(path: Path, fitting: Sequence[Topic], option: str, what: str) -> Topic:
+    if len(fitting) > 1:
+        raise InputError(f"{path}: several {what} topics ({_listed(fitting)}); name one with {option}")
+    return fitting[0]
+
+
+def _requested(
+    path: Path, topics: Sequence[Topic], fitting: Sequence[Topic], name: str, option: str, what: str
+) -> Topic:
+    by_name: Mapping[str, Topic] = {x.name.strip("/"): x for x in topics}
+    topic = by_name.get(name.strip("/"))
+    choice = f"{option} can be {_listed(fitting)}" if fitting else f"its topics are {_listed(topics)}"
+    if topic is None:
+        raise InputError(f"{path}: no topic {name}; {choice}")
+    if topic not in fitting:
+        why = "has no messages" if topic.n_messages == 0 else f"holds {topic.msgtype}, not {what}"
+        raise InputError(f"{path}: topic {name} {why}; {choice}")
+    return topic
+
+
+def _listed(topics: Sequence[Topic]) -> str:
+    return ", ".join(x.name for x in topics) or "none"

@@ -1,0 +1,94 @@
+"""Where the laser sits on the robot, told by the transforms (tf) of a bag."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.types import FloatArray
+
+MAX_TILT = math.radians(10.0)
+"""A laser tilted further out of the robot's plane than this is worth a warning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mounting:
+    """A laser on a robot, seen from above.
+
+    Attributes
+    ----------
+    T_base_laser : (x, y, theta)
+    is_upside_down : bool
+        The laser's z axis points down: its beams turn the other way.
+    tilt : float
+        Angle between the planes of laser and robot [rad].
+    """
+
+    T_base_laser: tuple[float, float, float]
+    is_upside_down: bool = False
+    tilt: float = 0.0
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the laser scans (about) the robot's plane."""
+        return self.tilt <= MAX_TILT
+
+
+class FrameTree:
+    """Frames and the latest transform of each to its parent."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, FloatArray]] = {}
+
+    def add(self, parent: str, child: str, T_parent_child: FloatArray) -> None:
+        """Set or renew the transform (4, 4) of a frame to its parent."""
+        self._parents[child] = (parent, T_parent_child)
+
+    def between(self, base: str, laser: str) -> FloatArray | None:
+        """Transform ``T_base_laser`` (4, 4) along the tree; None where the frames do not connect."""
+        T_ancestor_base = dict(self._ancestors(base))
+        for ancestor, T_ancestor_laser in self._ancestors(laser):
+            if ancestor in T_ancestor_base:
+                return np.linalg.inv(T_ancestor_base[ancestor]) @ T_ancestor_laser
+        return None
+
+    def _ancestors(self, frame: str) -> Iterator[tuple[str, FloatArray]]:
+        """The frame itself, its parent and so on, each with the transform ``T_ancestor_frame``."""
+        T_ancestor_frame = np.eye(4)
+        seen: set[str] = set()
+        ancestor = frame
+        while ancestor not in seen:
+            seen.add(ancestor)
+            yield ancestor, T_ancestor_frame
+            if ancestor not in self._parents:
+                return
+            ancestor, T_parent_child = self._parents[ancestor]
+            T_ancestor_frame = T_parent_child @ T_ancestor_frame
+
+
+def mounting_from_transform(T_base_laser: FloatArray) -> Mounting:
+    """See a transform (4, 4) from above; numbers are rounded to 1e-6 m and rad."""
+    x, y = T_base_laser[0, 3], T_base_laser[1, 3]
+    theta = math.atan2(T_base_laser[1, 0], T_base_laser[0, 0])
+    cos_z = float(np.clip(T_base_laser[2, 2], -1.0, 1.0))
+    return Mounting(
+        T_base_laser=(round(float(x), 6) + 0.0, round(float(y), 6) + 0.0, round(theta, 6) + 0.0),
+        is_upside_down=cos_z < 0.0,
+        tilt=math.acos(abs(cos_z)),
+    )
+
+
+def transform_matrix(
+    translation: tuple[float, float, float], quaternion: tuple[float, float, float, float]
+) -> FloatArray:
+    """Rigid transform (4, 4) of a translation [m] and a quaternion (x, y, z, w) of any length but zero."""
+    x, y, z, w = np.array(quaternion) / math.hypot(*quaternion)
+    T = np.eye(4)
+    T[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    T[:3, 3] = translation
+    return T

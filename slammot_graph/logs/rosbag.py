@@ -1,0 +1,122 @@
+"""ROS 1 and ROS 2 bags: LaserScan with odometry from a topic or from tf."""
+
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slammot_graph.errors import ConfigError, InputError
+from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_stamp, open_bag
+from slammot_graph.logs.bag_mounting import find_mounting
+from slammot_graph.logs.bag_odometry import base_frames, odometry_track, read_odometry, share_a_clock
+from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic
+from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.log import SkippedScan
+from slammot_graph.logs.odometry import MAX_HOLD_S
+from slammot_graph.scan import LaserModel
+
+MAX_BEAM_COUNT_ERROR = 1.5
+"""Beams that a scan's count may differ from what its angles tell."""
+
+N_SCANS_SAMPLED = 20
+"""Scans looked at on opening, to learn the laser's frame and clock."""
+
+
+class RosbagLog(CheckedLog):
+    """A bag, read in two passes: a light one for odometry and tf on opening, one for the scans each time.
+
+    Odometry is interpolated to the scan's stamp. Stamps are the headers' (a scan is recorded only after its
+    sweep and its way through the driver), unless the headers of scans and odometry do not share a clock: then
+    recording times are used for both, with a warning.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.bag``, a ROS 2 bag folder, a ``.db3`` or a ``.mcap`` file.
+    scan_topic, odom_topic : str, optional
+        Which topics to use where several would do; a tf topic may serve as odometry.
+
+    Raises
+    ------
+    InputError
+        The bag cannot be read; it lacks scans or odometry; several topics would do; a topic is not there.
+    """
+
+    def __init__(self, path: Path, *, scan_topic: str | None = None, odom_topic: str | None = None) -> None:
+        with open_bag(path) as bag:
+            self._scan_topic = choose_scan_topic(path, bag.topics, scan_topic)
+            n_scans = self._scan_topic.n_messages
+            odometry_topic = choose_odometry_topic(path, bag.topics, odom_topic, n_scans=n_scans)
+            scans = _first_scans(bag, self._scan_topic)
+            samples = read_odometry(bag, odometry_topic)
+            laser_frame = frame_name(scans[0].content.header.frame_id)
+            self._mounting, warnings = find_mounting(bag, base_frames(samples), laser_frame)
+        self._uses_headers = share_a_clock(scans, samples)
+        if not self._uses_headers:
+            warnings.append(
+                "header stamps of scans and odometry do not share a clock; recording times are used instead"
+            )
+        self._odometry, odometry_warnings = odometry_track(path, samples, uses_headers=self._uses_headers)
+        super().__init__(path, n_scans=n_scans, opening_warnings=[*warnings, *odometry_warnings])
+
+    def _records(self) -> Records:
+        lasers: dict[tuple[float, ...], LaserModel] = {}
+        with open_bag(self.path) as bag, closing(bag.messages([self._scan_topic])) as messages:
+            for message in messages:
+                place = f"message {message.number} of {self._scan_topic.name}"
+                try:
+                    yield self._decode(place, message, lasers)
+                except (ValueError, ConfigError) as err:
+                    yield SkippedScan(place=place, reason=one_line(err))
+
+    def _decode(
+        self, place: str, message: BagMessage, lasers: dict[tuple[float, ...], LaserModel]
+    ) -> RawScan:
+        scan = message.content
+        if scan is None:
+            raise ValueError("the message cannot be decoded")
+        laser = self._laser(scan, lasers)
+        stamp = header_stamp(scan) if self._uses_headers else message.bag_stamp
+        T_odom_base = self._odometry.at(stamp)
+        if T_odom_base is None:
+            raise ValueError(f"no odometry within {MAX_HOLD_S} s of its stamp")
+        with np.errstate(invalid="ignore"):  # a signalling NaN in a range is just an invalid beam
+            ranges = scan.ranges.astype(np.float64)
+        return RawScan(
+            place=place,
+            stamp=stamp,
+            ranges=ranges,
+            laser=laser,
+            T_odom_base=T_odom_base,
+        )
+
+    def _laser(self, scan: Any, lasers: dict[tuple[float, ...], LaserModel]) -> LaserModel:
+        """The laser that took a scan; of one mounted upside down the beams run the other way."""
+        n_beams = len(scan.ranges)
+        key = (scan.angle_min, scan.angle_max, scan.angle_increment, n_beams, scan.range_min, scan.range_max)
+        if key not in lasers:
+            span, step = scan.angle_max - scan.angle_min, scan.angle_increment
+            if not abs(n_beams * step - span) <= MAX_BEAM_COUNT_ERROR * abs(step):
+                raise ValueError(
+                    f"{n_beams} beams contradict a span of {span:.4f} rad in steps of {step:.6f} rad"
+                )
+            sense = -1.0 if self._mounting.is_upside_down else 1.0
+            lasers[key] = LaserModel(
+                angle_min=sense * scan.angle_min,
+                angle_increment=sense * step,
+                n_beams=n_beams,
+                range_min=scan.range_min,
+                range_max=scan.range_max,
+                T_base_laser=self._mounting.T_base_laser,
+            )
+        return lasers[key]
+
+
+def _first_scans(bag: Bag, topic: Topic) -> list[BagMessage]:
+    with closing(bag.messages([topic])) as messages:
+        scans = [x for x in islice(messages, N_SCANS_SAMPLED) if x.content is not None]
+    if not scans:
+        raise InputError(f"{bag.path}: the messages of {topic.name} cannot be decoded; record the bag anew")
+    return scans
