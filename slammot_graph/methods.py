@@ -57,6 +57,11 @@ METHODS: dict[str, Method] = {
             config=replace(_GRAPH, filter_moving=False),
         ),
         Method(
+            name="graph-noloop",
+            summary="graph, without loop closure",
+            config=replace(_GRAPH, close_loops=False),
+        ),
+        Method(
             name="kiss-icp",
             summary="kiss-icp 1.3 on z = 0 points, best 2D setting, constant velocity start",
             config=KissIcpConfig(),

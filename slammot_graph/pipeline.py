@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from slammot_graph import se2
+from slammot_graph.closure import LoopClosureConfig
 from slammot_graph.errors import ConfigError
 from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.graph.pose_graph import PoseGraphConfig
@@ -64,7 +65,9 @@ class PipelineConfig:
         The paper's R_r, for `test_covariance` "constant".
     odometry_noise : OdometryNoise
         R_r of the odometry factors and of the prediction.
-    grid, motion, clusters, tracks, local_map, point_to_line, point_to_point, graph
+    close_loops : bool
+        Look for loops ("scan-to-map" only).
+    grid, motion, clusters, tracks, local_map, point_to_line, point_to_point, graph, closure
         Configuration of the stages.
     """
 
@@ -86,6 +89,8 @@ class PipelineConfig:
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
     point_to_point: PointToPointConfig = field(default_factory=PointToPointConfig)
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    close_loops: bool = True
+    closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
 
     def __post_init__(self) -> None:
         if not self.max_range_m > 0.0:
@@ -265,7 +270,12 @@ def _make_localizer(config: PipelineConfig) -> Localizer:
     if config.matcher == "scan-to-scan":
         return ScanToScan(config.odometry_noise, config.point_to_point)
     return ScanToMap(
-        config.odometry_noise, config.local_map, config.point_to_line, config.graph, config.n_lost
+        config.odometry_noise,
+        config.local_map,
+        config.point_to_line,
+        config.graph,
+        config.n_lost,
+        config.closure if config.close_loops else None,
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph import se2
+from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
 from slammot_graph.graph.odometry_noise import OdometryNoise
 from slammot_graph.linalg import invert
@@ -45,12 +46,16 @@ class ScanToMap:
         matching: PointToLineConfig,
         graph: PoseGraphConfig,
         n_lost: int,
+        closure: LoopClosureConfig | None,
     ) -> None:
         self.noise = noise
         self.matching = matching
         self.n_lost = n_lost
         self.local_map = LocalMap(local_map)
         self.graph = PoseGraph(graph)
+        self.closer = None if closure is None else LoopCloser(closure, local_map, self.graph)
+        self._n_submaps = 0
+        self._path_m = 0.0
         self._T_local_base: FloatArray = se2.IDENTITY
         self._cov_relative: FloatArray = FIRST_COV
         self._cov_anchor: FloatArray = FIRST_COV
@@ -76,6 +81,7 @@ class ScanToMap:
             increment = se2.between(self._T_odom_base, scan.T_odom_base)
             cov = self.noise.covariance(increment)
             self._T_local_base = se2.compose(self._T_local_base, increment)
+            self._path_m += float(np.hypot(increment[0], increment[1]))
             self._cov_relative = se2.compound_covariance(self._cov_relative, increment, cov)
             self._cov_odometry = se2.compound_covariance(self._cov_odometry, increment, cov)
         self._T_odom_base = scan.T_odom_base
@@ -108,7 +114,7 @@ class ScanToMap:
         node = None
         if self.local_map.wants(self._T_local_base):
             node = self._add_node(scan)
-            self._add_keyframe(node, scan, points_base, is_static)
+            events += self._add_keyframe(node, scan, points_base, is_static)
         T_anchor_base = se2.between(self.local_map.anchor.T_local_base, self._T_local_base)
         visit = _Visit(
             node=len(self.graph) - 1,
@@ -174,19 +180,24 @@ class ScanToMap:
         self._node_scans.append(scan.index)
         return node
 
-    def _add_keyframe(self, node: int, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> None:
-        """Add the node's scan to the local map; take the covariance to its anchor from the graph."""
+    def _add_keyframe(
+        self, node: int, scan: Scan, points_base: FloatArray, is_static: BoolArray
+    ) -> list[str]:
+        """Add the node's scan to the local map; look for loops where that finished it."""
         keyframe = make_keyframe(
-            node,
-            self._T_local_base,
-            points_base,
-            is_static,
-            scan.laser.angle_increment,
-            self.local_map.config,
+            node, self._T_local_base, points_base, is_static, scan.laser, self.local_map.config
         )
         is_first = not self.local_map.keyframes
-        is_new_map = self.local_map.add(keyframe)
+        finished = self.local_map.add(keyframe)
+        has_closed, events = False, []
+        if finished and self.closer is not None:
+            submap = Submap(self._n_submaps, finished, self._path_m)
+            self._n_submaps += 1
+            has_closed, events = self.closer.consider(submap)
         anchor = self.local_map.anchor.node
-        if is_first or is_new_map:
+        if has_closed:
+            self._T_map_node = self.graph.pose(node)
+        if is_first or finished:
             self._cov_anchor = self.graph.marginal(anchor)
         self._cov_relative = FIRST_COV if anchor == node else self.graph.relative_covariance(anchor, node)
+        return events

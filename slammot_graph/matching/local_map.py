@@ -8,6 +8,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
 from slammot_graph.matching import _kernels
+from slammot_graph.scan import LaserModel
 from slammot_graph.types import BoolArray, FloatArray
 
 
@@ -79,12 +80,15 @@ class Keyframe:
         Where the local matching placed it.
     points_base, normals_base : (m, 2) arrays
         Static points and their normals, base frame; a normal of (0, 0) for a point that is on no line.
+    laser_base : (2,) array
+        Where the laser was, base frame.
     """
 
     node: int
     T_local_base: FloatArray
     points_base: FloatArray
     normals_base: FloatArray
+    laser_base: FloatArray
 
 
 def make_keyframe(
@@ -92,12 +96,12 @@ def make_keyframe(
     T_local_base: FloatArray,
     points_base: FloatArray,
     is_static: BoolArray,
-    angle_increment: float,
+    laser: LaserModel,
     config: LocalMapConfig,
 ) -> Keyframe:
     """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on."""
     normals = np.empty_like(points_base)
-    step_rad = abs(angle_increment)
+    step_rad = abs(laser.angle_increment)
     _kernels.estimate_normals(
         points_base,
         is_static,
@@ -112,6 +116,7 @@ def make_keyframe(
         T_local_base=T_local_base,
         points_base=points_base[is_static],
         normals_base=normals[is_static],
+        laser_base=laser.origin_base,
     )
 
 
@@ -159,14 +164,15 @@ class LocalMap:
             or abs(moved[2]) > self.config.keyframe_rotation_rad
         )
 
-    def add(self, keyframe: Keyframe) -> bool:
-        """Take in a keyframe; True when that filled the map and a new one, with a new anchor, took over."""
+    def add(self, keyframe: Keyframe) -> tuple[Keyframe, ...]:
+        """Take in a keyframe; the keyframes of the map that this filled, when a new one took over, else none."""
         self.keyframes.append(keyframe)
-        if len(self.keyframes) <= self.config.max_keyframes:
-            self._insert(keyframe)
-            return False
+        self._insert(keyframe)
+        if len(self.keyframes) < self.config.max_keyframes:
+            return ()
+        finished = tuple(self.keyframes)
         self.start(self.keyframes[-self.config.n_overlap :])
-        return True
+        return finished
 
     def start(self, keyframes: list[Keyframe]) -> None:
         """Begin a new local map from the given keyframes; with none it is empty."""

@@ -1,0 +1,302 @@
+"""Loop closure: candidates, verification map against map, and a joint decision before the graph is told."""
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.closure import _kernels
+from slammot_graph.closure.submap import CELL_M, OCCUPIED_SCORE, PreparedSubmap, Submap
+from slammot_graph.errors import ConfigError
+from slammot_graph.graph import PoseGraph
+from slammot_graph.linalg import mahalanobis2
+from slammot_graph.matching import LocalMap, LocalMapConfig, PointToLineConfig, match_to_local_map
+from slammot_graph.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopClosureConfig:
+    """When two local maps may be the same place, and what it takes to believe it.
+
+    Attributes
+    ----------
+    min_path_m : float
+        Way driven between two local maps before they can close a loop.
+    max_distance_m : float
+        Their centres lie nearer than this, the search radius included.
+    sigma_scale : float
+        The search covers this many standard deviations of their relative pose ...
+    min_search_m, max_search_m, min_search_rad, max_search_rad : float
+        ... within these bounds.
+    n_candidates : int
+        Local maps that are looked at per finished one, the nearest first.
+    min_score : float
+        Share of the best possible agreement that the search must reach.
+    min_overlap : float
+        Share of the points that find a partner after the match.
+    max_contradiction : float
+        Largest share of points in free space, of those in seen space.
+    max_ambiguity : float
+        Refused if a second pose scores more than this share of the first.
+    gate : float
+        Squared Mahalanobis distance to the graph's own belief below which a closure is taken at once (16.27: 99.9%).
+    surprise : float
+        Up to this many times the standard deviations a closure is taken once another one confirms it.
+    max_residual2 : float
+        A closure whose residual after the update is above this, in its own covariance, is taken out again.
+    point_to_line : PointToLineConfig
+    """
+
+    min_path_m: float = 8.0
+    max_distance_m: float = 12.0
+    sigma_scale: float = 4.0
+    min_search_m: float = 0.5
+    max_search_m: float = 8.0
+    min_search_rad: float = 0.15
+    max_search_rad: float = 0.8
+    n_candidates: int = 3
+    min_score: float = 0.45
+    min_overlap: float = 0.55
+    max_contradiction: float = 0.2
+    max_ambiguity: float = 0.9
+    gate: float = 16.27
+    surprise: float = 4.0
+    max_residual2: float = 40.0
+    point_to_line: PointToLineConfig = field(
+        default_factory=lambda: PointToLineConfig(floor_std_m=0.01, max_iterations=30)
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("min_path_m", "max_distance_m", "sigma_scale", "gate", "surprise", "max_residual2"):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"closure.{name} must be positive, not {getattr(self, name)}")
+        if not (
+            0.0 < self.min_search_m <= self.max_search_m and 0.0 < self.min_search_rad <= self.max_search_rad
+        ):
+            raise ConfigError("closure needs 0 < min_search <= max_search, in metres and in radians")
+        if self.n_candidates < 1:
+            raise ConfigError(f"closure.n_candidates must be at least 1, not {self.n_candidates}")
+        for name in ("min_score", "min_overlap", "max_contradiction", "max_ambiguity"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"closure.{name} must be in [0, 1], not {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Closure:
+    """Two local maps found to be the same place: anchor of `source` in the frame of the anchor of `target`.
+
+    Attributes
+    ----------
+    target, source : Submap
+    T_target_source : (3,) array
+    cov, information : (3, 3) array
+        Right perturbation; no information in directions that the match does not determine.
+    """
+
+    target: Submap
+    source: Submap
+    T_target_source: FloatArray
+    cov: FloatArray
+    information: FloatArray
+
+
+class LoopCloser:
+    """Looks at each finished local map, and tells the graph when the robot has come back."""
+
+    N_PREPARED = 64
+
+    def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig, graph: PoseGraph) -> None:
+        self.config = config
+        self.graph = graph
+        self.submaps: list[Submap] = []
+        self.accepted: list[Closure] = []
+        self.pending: list[Closure] = []
+        self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
+        self._field = LocalMap(local_map)
+
+    def consider(self, submap: Submap) -> tuple[bool, list[str]]:
+        """Take in a finished local map; returns whether the graph has changed, and what happened."""
+        events: list[str] = []
+        verified = []
+        nodes = self.graph.poses()
+        for target, T_target_source, cov in self._candidates(submap, nodes):
+            closure, reason = self._verify(target, submap, T_target_source, cov)
+            name = f"closure {target.anchor}-{submap.anchor}"
+            if closure is None:
+                events.append(f"{name} refused: {reason}")
+            else:
+                verified.append((closure, T_target_source, cov))
+        self.submaps.append(submap)
+        changed = False
+        for closure, T_predicted, cov in verified:
+            accepted, reason = self.decide(closure, T_predicted, cov)
+            events.append(f"closure {closure.target.anchor}-{closure.source.anchor} {reason}")
+            changed |= accepted
+        return changed, events
+
+    def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> tuple[bool, str]:
+        """Accept a verified closure now, keep it until another one confirms it, or refuse it."""
+        offset = se2.log(se2.between(closure.T_target_source, T_predicted))
+        surprise2 = mahalanobis2(offset, cov + closure.cov)
+        if surprise2 <= self.config.gate:
+            self._accept([closure])
+            return True, "accepted"
+        if surprise2 > self.config.gate * self.config.surprise**2:
+            return False, f"refused: improbable, squared Mahalanobis distance {surprise2:.0f}"
+        friends = [other for other in self.pending if self._agree(closure, other)]
+        if friends:
+            for other in friends:
+                self.pending.remove(other)
+            self._accept([*friends, closure])
+            return True, f"accepted, confirmed by {len(friends)} others"
+        self.pending.append(closure)
+        return False, f"waits for another to confirm it, squared Mahalanobis distance {surprise2:.0f}"
+
+    def _candidates(self, source: Submap, nodes: FloatArray) -> list[tuple[Submap, FloatArray, FloatArray]]:
+        """Earlier local maps that may show the same place, with the relative pose and its covariance."""
+        old = [s for s in self.submaps if source.path_m - s.path_m > self.config.min_path_m]
+        if not old:
+            return []
+        T_map_source = nodes[source.anchor]
+        centre = se2.transform(T_map_source, source.centre[None, :])[0]
+        T_map_old = nodes[[s.anchor for s in old]]
+        centres = se2.transform(T_map_old, np.array([s.centre for s in old])[:, None, :])[:, 0]
+        distance_m = np.hypot(*(centres - centre).T)
+        found = []
+        for k in np.argsort(distance_m, kind="stable"):
+            if distance_m[k] > self.config.max_distance_m or len(found) == self.config.n_candidates:
+                break
+            if any(abs(old[k].number - other.number) < 4 for other, _, _ in found):
+                continue
+            cov = self.graph.relative_covariance(old[k].anchor, source.anchor)
+            reach_m = self.config.sigma_scale * math.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]) + 4.0
+            if distance_m[k] <= reach_m:
+                found.append((old[k], se2.between(T_map_old[k], T_map_source), cov))
+        return found
+
+    def _verify(
+        self, target: Submap, source: Submap, T_predicted: FloatArray, cov: FloatArray
+    ) -> tuple[Closure | None, str]:
+        """Search, match and check one local map against another; None with the reason if they do not agree."""
+        config = self.config
+        prepared = self._prepare(target)
+        sigma_m = math.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1])
+        search_m = float(np.clip(config.sigma_scale * sigma_m, config.min_search_m, config.max_search_m))
+        sigma_rad = math.sqrt(cov[2, 2])
+        search_rad = float(
+            np.clip(config.sigma_scale * sigma_rad, config.min_search_rad, config.max_search_rad)
+        )
+        start = np.empty(3)
+        points = source.search_points
+        most = OCCUPIED_SCORE * len(points)
+        score = self._search(
+            prepared, points, T_predicted, search_m, search_rad, None, config.min_score * most, start
+        )
+        if score == 0:
+            return None, "no pose agrees"
+        second = np.empty(3)
+        rival = self._search(
+            prepared, points, T_predicted, search_m, search_rad, start, config.max_ambiguity * score, second
+        )
+        if rival:
+            return None, f"ambiguous: another pose scores {100 * rival / score:.0f}% of the best"
+        self._field.start([target.as_keyframe()])
+        all_points, _ = source.points_and_normals
+        used = np.ones(len(all_points), dtype=np.bool_)
+        weak_prior = np.diag([1.0, 1.0, 0.25])
+        match, _ = match_to_local_map(all_points, used, self._field, start, weak_prior, config.point_to_line)
+        if match.status == "failed":
+            return None, match.reason
+        if (
+            match.n_correspondences < config.min_overlap * len(all_points)
+            or match.inlier_ratio < 0.7 * config.min_overlap
+        ):
+            return None, f"overlap of {100 * match.n_correspondences / len(all_points):.0f}% only"
+        contradiction = max(
+            self._contradiction(prepared, all_points, match.T_ref_base),
+            self._contradiction(
+                self._prepare(source), target.points_and_normals[0], se2.inverse(match.T_ref_base)
+            ),
+        )
+        if contradiction > config.max_contradiction:
+            return None, f"{100 * contradiction:.0f}% of the points lie where the other saw free space"
+        closure = Closure(
+            target=target,
+            source=source,
+            T_target_source=match.T_ref_base,
+            cov=match.cov,
+            information=match.information,
+        )
+        return closure, ""
+
+    def _search(
+        self,
+        prepared: PreparedSubmap,
+        points: FloatArray,
+        centre: FloatArray,
+        search_m: float,
+        search_rad: float,
+        excluded: FloatArray | None,
+        min_score: float,
+        out: FloatArray,
+    ) -> int:
+        lever_m = float(np.quantile(np.hypot(*points.T), 0.9))
+        turn_step = CELL_M / max(lever_m, 1.0)
+        return _kernels.branch_and_bound(
+            prepared.pyramid,
+            float(prepared.origin[0]),
+            float(prepared.origin[1]),
+            1.0 / CELL_M,
+            points,
+            centre,
+            math.ceil(search_m / CELL_M),
+            math.ceil(search_rad / turn_step),
+            turn_step,
+            np.full(3, 1e9) if excluded is None else excluded,
+            0.5,
+            0.1,
+            int(min_score),
+            out,
+        )
+
+    @staticmethod
+    def _contradiction(prepared: PreparedSubmap, points: FloatArray, T: FloatArray) -> float:
+        n_free, n_agree = prepared.free_share(se2.transform(T, points))
+        return n_free / max(n_free + n_agree, 1)
+
+    def _prepare(self, submap: Submap) -> PreparedSubmap:
+        """Give a submap's grids, from a small store of the latest ones used."""
+        prepared = self._prepared.pop(submap.number, None) or PreparedSubmap(submap)
+        self._prepared[submap.number] = prepared
+        if len(self._prepared) > self.N_PREPARED:
+            self._prepared.popitem(last=False)
+        return prepared
+
+    def _agree(self, a: Closure, b: Closure) -> bool:
+        """Tell whether two closures of different local maps say the same about the way between."""
+        if abs(a.source.number - b.source.number) < 2:
+            return False
+        path_m = abs(a.source.path_m - b.source.path_m) + abs(a.target.path_m - b.target.path_m)
+        if path_m > 40.0:
+            return False
+        nodes = self.graph.poses()
+        T_at_bt = se2.between(nodes[a.target.anchor], nodes[b.target.anchor])
+        T_bs_as = se2.between(nodes[b.source.anchor], nodes[a.source.anchor])
+        predicted = se2.compose(se2.compose(T_at_bt, b.T_target_source), T_bs_as)
+        offset = se2.log(se2.between(a.T_target_source, predicted))
+        std = np.array([0.05 + 0.01 * path_m, 0.05 + 0.01 * path_m, 0.02 + 0.002 * path_m])
+        return bool(np.sum((offset / std) ** 2) < self.config.gate)
+
+    def _accept(self, closures: list[Closure]) -> None:
+        for closure in closures:
+            self.graph.add_edge(
+                "closure",
+                closure.target.anchor,
+                closure.source.anchor,
+                closure.T_target_source,
+                closure.information,
+            )
+        self.accepted += closures
+        self.graph.update()
