@@ -26,6 +26,9 @@ class LoopClosureConfig:
         Way driven between two local maps before they can close a loop.
     max_distance_m : float
         Their centres lie nearer than this, the search radius included.
+    drift_scale : float
+        Factor on the standard deviations of the graph's relative pose: matches of neighbouring scans share
+        errors (the same wall, the same beams), which the graph takes for independent.
     sigma_scale : float
         The search covers this many standard deviations of their relative pose ...
     min_search_m, max_search_m, min_search_rad, max_search_rad : float
@@ -51,7 +54,8 @@ class LoopClosureConfig:
 
     min_path_m: float = 8.0
     max_distance_m: float = 12.0
-    sigma_scale: float = 4.0
+    drift_scale: float = 3.0
+    sigma_scale: float = 3.0
     min_search_m: float = 0.5
     max_search_m: float = 8.0
     min_search_rad: float = 0.15
@@ -69,7 +73,7 @@ class LoopClosureConfig:
     )
 
     def __post_init__(self) -> None:
-        for name in ("min_path_m", "max_distance_m", "sigma_scale", "gate", "surprise", "max_residual2"):
+        for name in ("min_path_m", "max_distance_m", "drift_scale", "sigma_scale", "gate", "surprise", "max_residual2"):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"closure.{name} must be positive, not {getattr(self, name)}")
         if not (
@@ -164,13 +168,13 @@ class LoopCloser:
         T_map_old = nodes[[s.anchor for s in old]]
         centres = se2.transform(T_map_old, np.array([s.centre for s in old])[:, None, :])[:, 0]
         distance_m = np.hypot(*(centres - centre).T)
-        found = []
+        found: list[tuple[Submap, FloatArray, FloatArray]] = []
         for k in np.argsort(distance_m, kind="stable"):
             if distance_m[k] > self.config.max_distance_m or len(found) == self.config.n_candidates:
                 break
             if any(abs(old[k].number - other.number) < 4 for other, _, _ in found):
                 continue
-            cov = self.graph.relative_covariance(old[k].anchor, source.anchor)
+            cov = self.config.drift_scale**2 * self.graph.relative_covariance(old[k].anchor, source.anchor)
             reach_m = self.config.sigma_scale * math.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]) + 4.0
             if distance_m[k] <= reach_m:
                 found.append((old[k], se2.between(T_map_old[k], T_map_source), cov))

@@ -101,7 +101,7 @@ class ScanToMap:
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
     ) -> tuple[int | None, list[str]]:
         """See `Localizer`."""
-        events = []
+        events: list[str] = []
         if self._match is not None and self._match.status == "failed":
             self._n_failed += 1
             events.append(f"match failed: {self._match.reason}")
