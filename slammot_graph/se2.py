@@ -10,6 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from slammot_graph._numba import kernel
 from slammot_graph.types import FloatArray
 
 IDENTITY: FloatArray = np.zeros(3)
@@ -76,6 +77,8 @@ def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     -------
     (..., n, 2) array [m].
     """
+    if T_a_b.ndim == 1 and points_b.ndim == 2:
+        return _transform_points(T_a_b, points_b)
     c, s = np.cos(T_a_b[..., 2])[..., None], np.sin(T_a_b[..., 2])[..., None]
     x = T_a_b[..., 0, None] + c * points_b[..., 0] - s * points_b[..., 1]
     y = T_a_b[..., 1, None] + s * points_b[..., 0] + c * points_b[..., 1]
@@ -131,8 +134,43 @@ def compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray)
     -------
     (3, 3) covariance in body frame b: ``A cov_a A' + cov_b`` with ``A = Ad(inverse(T_a_b))``.
     """
+    if T_a_b.ndim == 1 and cov_a.ndim == 2:
+        return _compound_covariance(cov_a, T_a_b, cov_b)
     A = adjoint(inverse(T_a_b))
     return A @ cov_a @ np.swapaxes(A, -1, -2) + cov_b
+
+
+@kernel
+def _transform_points(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
+    c = math.cos(T_a_b[2])
+    s = math.sin(T_a_b[2])
+    out = np.empty((points_b.shape[0], 2))
+    for k in range(points_b.shape[0]):
+        out[k, 0] = T_a_b[0] + c * points_b[k, 0] - s * points_b[k, 1]
+        out[k, 1] = T_a_b[1] + s * points_b[k, 0] + c * points_b[k, 1]
+    return out
+
+
+@kernel
+def _compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray) -> FloatArray:
+    # A = Ad(inverse(T_a_b)) = [[R', R' (-y, x)], [0, 1]]
+    c = math.cos(T_a_b[2])
+    s = math.sin(T_a_b[2])
+    A = np.zeros((3, 3))
+    A[0, 0] = c
+    A[0, 1] = s
+    A[0, 2] = s * T_a_b[0] - c * T_a_b[1]
+    A[1, 0] = -s
+    A[1, 1] = c
+    A[1, 2] = c * T_a_b[0] + s * T_a_b[1]
+    A[2, 2] = 1.0
+    out = cov_b.copy()
+    for i in range(3):
+        for j in range(3):
+            for m in range(3):
+                for n in range(3):
+                    out[i, j] += A[i, m] * cov_a[m, n] * A[j, n]
+    return out
 
 
 def body_to_world_covariance(cov_body: FloatArray, theta: npt.ArrayLike) -> FloatArray:

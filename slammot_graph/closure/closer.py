@@ -176,8 +176,9 @@ class LoopCloser:
                 continue
             cov = self.config.drift_scale**2 * self.graph.relative_covariance(old[k].anchor, source.anchor)
             reach_m = self.config.sigma_scale * math.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]) + 4.0
-            if distance_m[k] <= reach_m:
-                found.append((old[k], se2.between(T_map_old[k], T_map_source), cov))
+            if distance_m[k] > reach_m:
+                break
+            found.append((old[k], se2.between(T_map_old[k], T_map_source), cov))
         return found
 
     def _verify(
