@@ -49,7 +49,7 @@ class Submap:
     @cached_property
     def centre(self) -> FloatArray:
         """(2,) mean place of the robot, anchor frame [m]."""
-        return self.T_anchor_keyframes[:, :2].mean(axis=0)
+        return np.asarray(self.T_anchor_keyframes[:, :2].mean(axis=0))
 
     @cached_property
     def points_and_normals(self) -> tuple[FloatArray, FloatArray]:
@@ -129,7 +129,7 @@ class PreparedSubmap:
     def free_share(self, points: FloatArray) -> tuple[int, int]:
         """Count of (m, 2) points [m, anchor frame] that fall into free space, and of those on or beside points."""
         cells = np.floor((points - self.origin) / CELL_M).astype(np.int64)
-        rows, cols = self.score.shape
+        rows, cols = self.is_free.shape
         inside = (cells >= 0).all(axis=1) & (cells[:, 0] < cols) & (cells[:, 1] < rows)
         i, j = cells[inside, 1], cells[inside, 0]
         return int(self.is_free[i, j].sum()), int((self.score[i, j] > 0).sum())

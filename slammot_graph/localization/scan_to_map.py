@@ -189,7 +189,7 @@ class ScanToMap:
         )
         is_first = not self.local_map.keyframes
         finished = self.local_map.add(keyframe)
-        has_closed, events = False, []
+        has_closed, events = False, list[str]()
         if finished and self.closer is not None:
             submap = Submap(self._n_submaps, finished, self._path_m)
             self._n_submaps += 1

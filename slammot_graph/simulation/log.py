@@ -1,0 +1,94 @@
+"""A log that was made, not recorded: it knows the truth."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slammot_graph.logs import SkippedScan, write_npz_log
+from slammot_graph.scan import LaserModel, Scan, ScanTruth
+from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+
+class SimulatedLog:
+    """A `LaserLog` in memory.
+
+    Attributes
+    ----------
+    path : Path
+        Name of the scenario, for messages.
+    laser : LaserModel
+    stamps : (n,) array [s]
+    ranges : (n, beams) array [m]
+    T_odom_base : (n, 3) array
+    T_world_base : (n, 3) array
+        Truth; of an injected log, the reference trajectory.
+    is_moving : (n, beams) bool array
+        The beam hit a person, walking or standing.
+    object_id : (n, beams) int array
+        Which one; -1 for none.
+    objects : (n, people, 4) array
+        x, y [m], vx, vy [m/s] in the world; NaN while away.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        laser: LaserModel,
+        stamps: FloatArray,
+        ranges: FloatArray,
+        T_odom_base: FloatArray,
+        T_world_base: FloatArray,
+        is_moving: BoolArray,
+        object_id: IntArray,
+        objects: FloatArray,
+    ) -> None:
+        self.path = Path(name)
+        self.laser = laser
+        self.stamps = stamps
+        self.ranges = ranges
+        self.T_odom_base = T_odom_base
+        self.T_world_base = T_world_base
+        self.is_moving = is_moving
+        self.object_id = object_id
+        self.objects = objects
+        self.n_scans = len(stamps)
+        self.skipped: list[SkippedScan] = []
+        self.warnings: list[str] = []
+
+    def __iter__(self) -> Iterator[Scan]:
+        for k in range(self.n_scans):
+            yield Scan(
+                index=k,
+                stamp=float(self.stamps[k]),
+                ranges=self.ranges[k],
+                laser=self.laser,
+                T_odom_base=self.T_odom_base[k],
+                truth=ScanTruth(
+                    T_world_base=self.T_world_base[k],
+                    is_moving=self.is_moving[k],
+                    object_id=self.object_id[k],
+                ),
+            )
+
+    def arrays(self) -> dict[str, Any]:
+        """Give the keyword arguments of `write_npz_log`."""
+        return {
+            "stamps": self.stamps,
+            "ranges": self.ranges,
+            "angle_min": self.laser.angle_min,
+            "angle_increment": self.laser.angle_increment,
+            "range_min": self.laser.range_min,
+            "range_max": self.laser.range_max,
+            "odometry": self.T_odom_base,
+            "laser_pose": np.array(self.laser.T_base_laser),
+            "poses": self.T_world_base,
+            "is_moving": self.is_moving,
+            "object_id": self.object_id,
+        }
+
+    def write(self, path: str | Path) -> None:
+        """Write the log with its truth as ``.npz``."""
+        write_npz_log(path, **self.arrays())

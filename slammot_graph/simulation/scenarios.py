@@ -1,0 +1,137 @@
+"""Named scenarios: a world, a robot, a laser and people; the same seed gives the same log."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from slammot_graph.errors import ConfigError
+from slammot_graph.simulation.laser import laser_named, measure
+from slammot_graph.simulation.log import SimulatedLog
+from slammot_graph.simulation.people import PeopleConfig, circles, walk
+from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
+from slammot_graph.simulation.worlds import world_named
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """What is simulated.
+
+    Attributes
+    ----------
+    name : str
+    world : str
+        As in `worlds`.
+    laser : str
+        As in `laser`.
+    rate_hz : float
+        Scans per second.
+    n_people : int
+    n_laps : int
+        How often the robot drives its route.
+    drive, odometry, people
+        Configuration of the parts.
+    """
+
+    name: str
+    world: str
+    laser: str = "lms200"
+    rate_hz: float = 10.0
+    n_people: int = 0
+    n_laps: int = 1
+    drive: DriveConfig = field(default_factory=DriveConfig)
+    odometry: OdometryNoise = field(default_factory=OdometryNoise)
+    people: PeopleConfig = field(default_factory=PeopleConfig)
+
+    def __post_init__(self) -> None:
+        if self.n_people < 0:
+            raise ConfigError(f"the number of people must not be negative, not {self.n_people}")
+        if self.n_laps < 1:
+            raise ConfigError(f"n_laps must be at least 1, not {self.n_laps}")
+
+
+_STOPPING = PeopleConfig(behaviour="walk-then-stop", stop_after_share=0.6)
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario(name="one-walker", world="lab", n_people=1, people=PeopleConfig(pause_probability=0.1)),
+        Scenario(name="two-walkers", world="lab", n_people=2, people=_STOPPING),
+        Scenario(name="lab", world="lab", n_people=3, n_laps=2),
+        Scenario(name="office", world="office", n_people=4),
+        Scenario(name="corridor", world="corridor", n_people=3),
+        Scenario(name="hall", world="hall", n_people=6),
+        Scenario(name="building", world="building", n_people=6),
+    )
+}
+
+
+def scenario_named(name: str) -> Scenario:
+    """Look a scenario up; ConfigError lists those that are."""
+    if name not in SCENARIOS:
+        raise ConfigError(f'no scenario "{name}"; there are {", ".join(SCENARIOS)}')
+    return SCENARIOS[name]
+
+
+def simulate(
+    scenario: str | Scenario,
+    *,
+    seed: int,
+    n_people: int | None = None,
+    noise_scale: float = 1.0,
+    laser: str | None = None,
+    rate_hz: float | None = None,
+    n_laps: int | None = None,
+) -> SimulatedLog:
+    """Simulate a scenario.
+
+    The robot's drive, its odometry, the laser's noise and the people draw from streams of their own, so that logs
+    of one seed with more or fewer people, or with more or less odometry noise, are otherwise alike.
+
+    Parameters
+    ----------
+    scenario : str or Scenario
+    seed : int
+    n_people, laser, rate_hz, n_laps : optional
+        In place of the scenario's.
+    noise_scale : float
+        Factor on the odometry's errors.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name, a negative number of people, seed or noise.
+    """
+    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    if seed < 0:
+        raise ConfigError(f"the seed must not be negative, not {seed}")
+    chosen = replace(
+        chosen,
+        n_people=chosen.n_people if n_people is None else n_people,
+        laser=laser or chosen.laser,
+        rate_hz=rate_hz or chosen.rate_hz,
+        n_laps=n_laps or chosen.n_laps,
+    )
+    world = world_named(chosen.world)
+    scanner = laser_named(chosen.laser).at_rate(chosen.rate_hz)
+    streams = np.random.default_rng(seed).spawn(4)
+    period_s = 1.0 / scanner.rate_hz
+    route = np.concatenate([world.route] + [world.route[1:]] * (chosen.n_laps - 1))
+    T_world_base = drive(route, chosen.drive, period_s, streams[0])
+    stamps = period_s * np.arange(len(T_world_base), dtype=np.float64)
+    T_odom_base, _ = simulate_odometry(T_world_base, chosen.odometry, streams[1], noise_scale=noise_scale)
+    objects = walk(world.free_space, stamps, T_world_base, chosen.n_people, chosen.people, streams[2])
+    shapes, person = circles(objects, stamps, chosen.people)
+    ranges, hits = measure(T_world_base, scanner, world.segments, shapes, streams[3])
+    is_moving = hits >= 0
+    object_id = np.where(is_moving, person[hits] if len(person) else -1, -1)
+    return SimulatedLog(
+        name=chosen.name,
+        laser=scanner.model,
+        stamps=stamps,
+        ranges=ranges,
+        T_odom_base=T_odom_base,
+        T_world_base=T_world_base,
+        is_moving=is_moving,
+        object_id=object_id,
+        objects=objects,
+    )
