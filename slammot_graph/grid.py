@@ -24,6 +24,10 @@ class GridConfig:
     resolution_m : float
     p_hit, p_pass : float
         Probability that a cell is occupied, given that a beam ended in it or crossed it.
+    p_soft_hit : float
+        The same for a soft hit: something moving stood there, which fills a cell only if it stays for long.
+    fill_gaps : bool
+        Free the cells between neighbouring beams too where the beams are farther apart than a cell.
     p_min, p_max : float
         Bounds of a cell's probability, so that a cell can change its state again.
     p_free, p_occupied : float
@@ -33,6 +37,8 @@ class GridConfig:
     resolution_m: float = 0.05
     p_hit: float = 0.7
     p_pass: float = 0.4
+    p_soft_hit: float = 0.5125
+    fill_gaps: bool = True
     p_min: float = 0.03
     p_max: float = 0.97
     p_free: float = 0.2
@@ -43,6 +49,8 @@ class GridConfig:
             raise ConfigError(f"grid.resolution_m must be positive, not {self.resolution_m}")
         if not 0.0 < self.p_min < self.p_pass < 0.5 < self.p_hit < self.p_max < 1.0:
             raise ConfigError("grid needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1")
+        if not 0.5 <= self.p_soft_hit <= self.p_hit:
+            raise ConfigError("grid needs 0.5 <= p_soft_hit <= p_hit")
         if not self.p_min < self.p_free < 0.5 < self.p_occupied < self.p_max:
             raise ConfigError("grid needs p_min < p_free < 0.5 < p_occupied < p_max")
 
@@ -76,11 +84,18 @@ class OccupancyGrid:
         self.oldest = 0
         self.inv_resolution = 1.0 / config.resolution_m
         self.l_pass, self.l_hit = _logit(config.p_pass), _logit(config.p_hit)
+        self.l_soft = _logit(config.p_soft_hit)
         self.l_min, self.l_max = _logit(config.p_min), _logit(config.p_max)
         self.l_free, self.l_occupied = _logit(config.p_free), _logit(config.p_occupied)
 
     def update(
-        self, now: int, origin: FloatArray, end_points: FloatArray, is_beam: BoolArray, is_hit: BoolArray
+        self,
+        now: int,
+        origin: FloatArray,
+        end_points: FloatArray,
+        is_beam: BoolArray,
+        is_hit: BoolArray,
+        is_soft_hit: BoolArray | None = None,
     ) -> None:
         """Take in one scan.
 
@@ -95,6 +110,8 @@ class OccupancyGrid:
             Beams that free the cells they cross.
         is_hit : (n,) bool array
             Beams whose end point occupies its cell.
+        is_soft_hit : (n,) bool array, optional
+            Beams whose end point fills its cell a little; by default all others that free.
         """
         if not self.is_rolling:
             self._cover(origin, end_points[is_beam])
@@ -110,8 +127,11 @@ class OccupancyGrid:
             end_points,
             is_beam,
             is_hit,
+            is_beam & ~is_hit if is_soft_hit is None else is_soft_hit,
             self.l_pass,
             self.l_hit,
+            self.l_soft,
+            self.config.fill_gaps,
             self.l_min,
             self.l_max,
         )

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 from slammot_graph.baselines import KissIcpConfig
 from slammot_graph.errors import ConfigError
+from slammot_graph.grid import GridConfig
+from slammot_graph.motion import MotionConfig
 from slammot_graph.pipeline import PipelineConfig
 
 Config = PipelineConfig | KissIcpConfig
@@ -19,7 +21,14 @@ class Method:
 
 
 _GRAPH = PipelineConfig()
-_ICP = PipelineConfig(matcher="scan-to-scan", filter_moving=False, judge_again=False, occupy_with_moving=True)
+_ICP = PipelineConfig(
+    matcher="scan-to-scan",
+    filter_moving=False,
+    judge_again=False,
+    occupy_with_moving=True,
+    motion=MotionConfig(margin_cells=0, track_reach_m=0.0),
+    grid=GridConfig(fill_gaps=False),
+)
 _DOCPFO = replace(_ICP, filter_moving=True, test_covariance="constant")
 
 METHODS: dict[str, Method] = {

@@ -67,7 +67,11 @@ class PipelineConfig:
         R_r of the odometry factors and of the prediction.
     close_loops : bool
         Look for loops ("scan-to-map" only).
-    grid, motion, clusters, tracks, local_map, point_to_line, point_to_point, graph, closure
+    grid : GridConfig
+        Of the map, and of the test where there is no local map.
+    local_grid : GridConfig
+        Of the test ("scan-to-map" only).
+    motion, clusters, tracks, local_map, point_to_line, point_to_point, graph, closure
         Configuration of the stages.
     """
 
@@ -82,6 +86,7 @@ class PipelineConfig:
     constant_noise: ConstantNoise = field(default_factory=ConstantNoise)
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
+    local_grid: GridConfig = field(default_factory=lambda: GridConfig(resolution_m=0.1, p_free=0.1))
     motion: MotionConfig = field(default_factory=MotionConfig)
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     tracks: TrackConfig = field(default_factory=TrackConfig)
@@ -132,7 +137,8 @@ class Pipeline:
         self.localizer = _make_localizer(config)
         self.tracker = Tracker(config.tracks)
         window_m = 2.0 * config.max_range_m + 20.0 if config.matcher == "scan-to-map" else None
-        self.grid = OccupancyGrid(config.grid, window_m=window_m)
+        grid = config.grid if window_m is None else config.local_grid
+        self.grid = OccupancyGrid(grid, window_m=window_m)
         self._node_views: list[_View] = []
         self._stopwatch = Stopwatch()
 
@@ -151,7 +157,8 @@ class Pipeline:
             nis = _innovation_nis(predicted, matched, match)
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
-                detection = self._detect(scan, is_valid, matched)
+                is_lost = match.status == "failed"
+                detection = detection.stand_back() if is_lost else self._detect(scan, is_valid, matched)
         is_static = is_valid & ~detection.is_moving
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)
@@ -221,6 +228,7 @@ class Pipeline:
             self.grid,
             self.config.motion,
             self.config.clusters,
+            self.tracker.expected(scan.stamp),
         )
 
     def _update_map(

@@ -73,7 +73,15 @@ class LoopClosureConfig:
     )
 
     def __post_init__(self) -> None:
-        for name in ("min_path_m", "max_distance_m", "drift_scale", "sigma_scale", "gate", "surprise", "max_residual2"):
+        for name in (
+            "min_path_m",
+            "max_distance_m",
+            "drift_scale",
+            "sigma_scale",
+            "gate",
+            "surprise",
+            "max_residual2",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"closure.{name} must be positive, not {getattr(self, name)}")
         if not (

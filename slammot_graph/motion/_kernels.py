@@ -93,12 +93,13 @@ def ellipse_test(
     is_valid: BoolArray,
     n_sigma: float,
     max_cells: int,
+    margin_cells: int,
     out: IntArray,
 ) -> None:
     """Fill `out` with what the cells under each end point's ellipse say: FREE only if every one of them is free.
 
     `cov` is (n, 3): xx, xy, yy. The first cell that is not free decides; an ellipse that spans more than
-    `max_cells` cells is TOO_UNCERTAIN.
+    `max_cells` cells is TOO_UNCERTAIN. With a margin, the cells around the end point's own count too.
     """
     rows, cols = log_odds.shape
     inv_resolution = 1.0 / resolution
@@ -112,10 +113,10 @@ def ellipse_test(
         half_y = n_sigma * math.sqrt(cov[k, 2])
         i_c = math.floor(y * inv_resolution)
         j_c = math.floor(x * inv_resolution)
-        i_lo = math.floor((y - half_y) * inv_resolution)
-        i_hi = math.floor((y + half_y) * inv_resolution)
-        j_lo = math.floor((x - half_x) * inv_resolution)
-        j_hi = math.floor((x + half_x) * inv_resolution)
+        i_lo = min(math.floor((y - half_y) * inv_resolution), i_c - margin_cells)
+        i_hi = max(math.floor((y + half_y) * inv_resolution), i_c + margin_cells)
+        j_lo = min(math.floor((x - half_x) * inv_resolution), j_c - margin_cells)
+        j_hi = max(math.floor((x + half_x) * inv_resolution), j_c + margin_cells)
         det = cov[k, 0] * cov[k, 2] - cov[k, 1] * cov[k, 1]
         p = cov[k, 2] / det
         q = -cov[k, 1] / det
@@ -142,7 +143,7 @@ def ellipse_test(
                     verdict = TOO_UNCERTAIN
                     break
                 continue
-            if m >= 0 and not _touches(
+            if max(abs(i - i_c), abs(j - j_c)) > margin_cells and not _touches(
                 j * resolution - x, i * resolution - y, resolution, p, q, r, n_sigma * n_sigma
             ):
                 continue

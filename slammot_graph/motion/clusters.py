@@ -25,7 +25,7 @@ class ClusterConfig:
         MAX X RANGE, MAX Y RANGE: wider subsets are discarded.
     """
 
-    max_gap_m: float = 0.4
+    max_gap_m: float = 0.6
     max_skipped_beams: int = 10
     min_points: int = 2
     max_x_range_m: float = 1.5

@@ -1,6 +1,6 @@
 """The moving-point test: an end point moves if its covariance ellipse covers free cells only."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,11 @@ class MotionConfig:
         Size of the ellipse; 2.448 holds 95% in two dimensions.
     max_cells : int
         An ellipse that spans more cells decides nothing.
+    margin_cells : int
+        Cells around the end point's own that must be free as well, whatever the ellipse: beams that graze a
+        wall free its cells too. 0 in the paper.
+    track_reach_m : float
+        Beams on unknown cells, or too few for a cluster, move if a tracked object is expected this near; 0: never.
     stand_back_share : float
         If more than this share of the valid beams seems to move, none is called moving: a wrong pose looks
         just like that, and removing everything would lock the error in.
@@ -33,6 +38,8 @@ class MotionConfig:
     angle_std_rad: float = 0.005
     n_sigma: float = 2.448
     max_cells: int = 10_000
+    margin_cells: int = 1
+    track_reach_m: float = 0.4
     stand_back_share: float = 0.75
 
     def __post_init__(self) -> None:
@@ -42,6 +49,10 @@ class MotionConfig:
             raise ConfigError(f"motion.n_sigma must be positive, not {self.n_sigma}")
         if self.max_cells < 1:
             raise ConfigError(f"motion.max_cells must be at least 1, not {self.max_cells}")
+        if self.margin_cells < 0:
+            raise ConfigError(f"motion.margin_cells must not be negative, not {self.margin_cells}")
+        if not self.track_reach_m >= 0.0:
+            raise ConfigError(f"motion.track_reach_m must not be negative, not {self.track_reach_m}")
         if not 0.0 < self.stand_back_share <= 1.0:
             raise ConfigError(f"motion.stand_back_share must be in (0, 1], not {self.stand_back_share}")
 
@@ -82,6 +93,17 @@ class Detection:
             cluster=np.full(n, -1),
             n_clusters=0,
             point_cov=np.zeros((n, 2, 2)),
+        )
+
+    def stand_back(self) -> "Detection":
+        """Take back what was called moving."""
+        return replace(
+            self,
+            is_moving=np.zeros_like(self.is_moving),
+            p_moving=np.where(np.isnan(self.p_moving), np.nan, 0.0),
+            reason=np.where(self.is_moving, reasons.STOOD_BACK, self.reason),
+            cluster=np.full_like(self.cluster, -1),
+            n_clusters=0,
         )
 
 
@@ -135,6 +157,7 @@ def detect_moving(
     grid: OccupancyGrid,
     config: MotionConfig,
     clusters: ClusterConfig,
+    expected: FloatArray | None = None,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -148,6 +171,8 @@ def detect_moving(
     cov_pose : (3, 3) array
         Covariance of that pose, right perturbation (body frame).
     grid : OccupancyGrid
+    expected : (k, 2) array, optional
+        Where tracked objects should be now, frame a [m].
     """
     n = len(scan.ranges)
     points = scan.points(T_a_base)
@@ -168,16 +193,23 @@ def detect_moving(
         is_valid,
         config.n_sigma,
         config.max_cells,
+        config.margin_cells,
         reason,
     )
     is_free = reason == reasons.FREE
     cluster, n_clusters = find_clusters(points, is_free, clusters)
     is_moving = cluster >= 0
     reason[is_free & ~is_moving] = reasons.DISCARDED
-    if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
-        reason[is_moving] = reasons.STOOD_BACK
-        is_moving, cluster, n_clusters = np.zeros(n, dtype=np.bool_), np.full(n, -1), 0
-    return Detection(
+    if expected is not None and len(expected) and config.track_reach_m > 0.0:
+        is_open = (reason == reasons.UNKNOWN) | (reason == reasons.DISCARDED)
+        offset = points[is_open, None, :] - expected[None]
+        is_open[is_open] = (np.hypot(offset[..., 0], offset[..., 1]) < config.track_reach_m).any(axis=1)
+        if is_open.any():
+            reason[is_open] = reasons.TRACKED
+            cluster, n_clusters = find_clusters(points, is_moving | is_open, replace(clusters, min_points=1))
+            is_moving = cluster >= 0
+            reason[is_open & ~is_moving] = reasons.DISCARDED
+    detection = Detection(
         is_moving=is_moving,
         p_moving=np.where(is_valid, is_moving.astype(np.float64), np.nan),
         reason=reason,
@@ -185,3 +217,6 @@ def detect_moving(
         n_clusters=n_clusters,
         point_cov=_as_matrices(packed),
     )
+    if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
+        return detection.stand_back()
+    return detection

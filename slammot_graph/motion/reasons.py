@@ -1,6 +1,6 @@
 """Why a beam was called moving or not: the numbers in `StepResult.reason` index `REASONS`."""
 
-NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK = range(7)
+NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK, TRACKED = range(8)
 
 REASONS = (
     "no valid return",
@@ -9,5 +9,6 @@ REASONS = (
     "moving: only free cells under the ellipse",
     "static: the ellipse is too large to decide",
     "static: free cells only, but its cluster is too small or too wide",
-    "static: too much of the scan seemed to move",
+    "static: too much of the scan seemed to move, or the match failed",
+    "moving: where a tracked object was expected, and no occupied cell",
 )

@@ -27,6 +27,8 @@ class TrackConfig:
         Clusters needed before a track is reported.
     max_missed_s : float
         A track that no cluster confirmed for this long ends.
+    min_way_m : float
+        An object has walked when it is this far from where it was first seen.
     """
 
     acceleration_std_m_s2: float = 1.5
@@ -35,9 +37,17 @@ class TrackConfig:
     gate: float = 9.21
     n_confirm: int = 3
     max_missed_s: float = 1.0
+    min_way_m: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("acceleration_std_m_s2", "centre_std_m", "start_speed_std_m_s", "gate", "max_missed_s"):
+        for name in (
+            "acceleration_std_m_s2",
+            "centre_std_m",
+            "start_speed_std_m_s",
+            "gate",
+            "max_missed_s",
+            "min_way_m",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"tracks.{name} must be positive, not {getattr(self, name)}")
         if self.n_confirm < 1:
@@ -53,6 +63,8 @@ class Track:
     track_id : int
     state : (4,) array
     cov : (4, 4) array
+    start : (2,) array
+        Where it was first seen [m].
     n_hits : int
     last_hit_s : float
     beams : (k,) int array
@@ -62,6 +74,7 @@ class Track:
     track_id: int
     state: FloatArray
     cov: FloatArray
+    start: FloatArray
     n_hits: int
     last_hit_s: float
     beams: IntArray
@@ -75,6 +88,17 @@ class Tracker:
         self.tracks: list[Track] = []
         self._stamp_s: float | None = None
         self._next_id = 0
+
+    def expected(self, stamp_s: float) -> FloatArray:
+        """(k, 2) places [m] where objects that have walked should be at a stamp [s], tracker's frame."""
+        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        walked = [
+            t.state
+            for t in self.tracks
+            if t.n_hits >= self.config.n_confirm
+            and np.hypot(*(t.state[:2] - t.start)) >= self.config.min_way_m
+        ]
+        return np.array([state[:2] + dt * state[2:] for state in walked]).reshape(-1, 2)
 
     def update(
         self, stamp_s: float, centres: FloatArray, centre_covs: FloatArray, beams: Sequence[IntArray]
@@ -127,6 +151,7 @@ class Tracker:
             track_id=track.track_id,
             state=F @ track.state,
             cov=F @ track.cov @ F.T + Q,
+            start=track.start,
             n_hits=track.n_hits,
             last_hit_s=track.last_hit_s,
             beams=np.empty(0, dtype=np.int64),
@@ -153,6 +178,7 @@ class Tracker:
             track_id=track.track_id,
             state=track.state + K @ (centre - track.state[:2]),
             cov=0.5 * (cov + cov.T),
+            start=track.start,
             n_hits=track.n_hits + 1,
             last_hit_s=stamp_s,
             beams=beams,
@@ -167,6 +193,7 @@ class Tracker:
             track_id=self._next_id - 1,
             state=np.array([centre[0], centre[1], 0.0, 0.0]),
             cov=cov,
+            start=centre,
             n_hits=1,
             last_hit_s=stamp_s,
             beams=beams,

@@ -253,7 +253,7 @@ def _rooms(
             segments += _round(x, (low + high) / 2, 0.15, 10)  # bin
     segments += _wall_x(y_corridor, x0, x1, gaps)
     for x in edges[1:-1]:
-        segments += _wall_y(float(x), *sorted((y_corridor, y_back)))
+        segments += _wall_y(float(x), min(y_corridor, y_back), max(y_corridor, y_back))
     return segments, doors
 
 

@@ -1,0 +1,814 @@
+"""The recording of a run for the rerun viewer: the only importer of rerun, and only when recording.
+
+Steps are kept and sent as columns, many scans at a time: one call per scan and entity would cost more than
+the step itself. Everything in the map frame lies at z = 0 but for small offsets that order the layers.
+"""
+
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.errors import InputError
+from slammot_graph.result_types import GraphEdge, GridMap, RunResult, StepResult, TrackState
+from slammot_graph.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+SCANS_PER_SEND = 100
+SCANS_PER_SEND_LIVE = 10
+STATIC_ELLIPSE_EVERY = 10
+"""Of the static beams only one in so many shows its ellipse; every moving one does."""
+TRAIL_SCANS = 150
+"""How long tracks and moving points stay visible behind the cursor [scans]."""
+MAX_VIEW_NODES = 300
+"""The graph view shows the shape of the graph, thinned to about so many nodes."""
+MAP_SHARE, GRAPH_SHARE = 0.15, 0.10
+"""What maps and graphs may add to the bytes of the scans: the larger they grow, the rarer they are logged."""
+NIS_BOUND_95 = 7.81
+"""95% of a chi-square with 3 degrees of freedom."""
+SIGMAS_95 = 2.448
+"""Semi-axis of a 95% ellipse in the plane, in standard deviations."""
+
+COLOR_ESTIMATE = 0x0072B2FF
+COLOR_ODOMETRY = 0xE69F00FF
+COLOR_TRUTH = 0x009E73FF
+COLOR_STATIC = 0x2F6FB5FF
+COLOR_MOVING = 0xE3342FFF
+COLOR_CLOSURE = 0xCC33AAFF
+COLOR_MATCH = 0x56B4E9FF
+TRACK_COLORS = (
+    0xD55E00FF,
+    0x7B3FA0FF,
+    0x009E73FF,
+    0xB8860BFF,
+    0xC2185BFF,
+    0x00838FFF,
+    0x5D4037FF,
+    0x33691EFF,
+)
+
+LEGEND = """
+| in the map | |
+|---|---|
+| white, black, grey | free, occupied, not known |
+| blue points | the scan's static points |
+| red points, red ellipses | points that move, with the 95% covariance that the test used |
+| thin blue ellipses | the same of every tenth static point |
+| blue line, dark blue ellipse | estimated path, 95% of the robot's position |
+| orange line | raw odometry, started at the same place |
+| green line | truth, where it is known |
+| numbered points with arrows | tracks with their velocity and 95% ellipse |
+| pink lines | loop closures |
+
+Select a point to read its beam, `p_moving_percent` and `reason`.
+"""
+
+
+class RunLog(Protocol):
+    """Where a run shows what it does, step by step."""
+
+    @property
+    def wants_map(self) -> bool:
+        """Whether a map is due now; ask before making one."""
+
+    @property
+    def wants_graph(self) -> bool:
+        """Whether the graph is due now; ask before collecting it."""
+
+    def log_step(self, step: StepResult) -> None:
+        """Log one scan's outcome; its arrays must not change afterwards."""
+
+    def log_map(self, grid: GridMap) -> None:
+        """Log the map as it is after the last step."""
+
+    def log_graph(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
+        """Log the graph as it is after the last step: node poses (m, 3) in the map frame, and edges."""
+
+    def finish(self, result: RunResult) -> None:
+        """Log the whole run's outcome: final trajectory, map, graph and figures."""
+
+    def close(self) -> None:
+        """Send what is still kept and close; may be called twice."""
+
+
+class NoRunLog:
+    """The log of a run that is not recorded: does nothing and does not import rerun."""
+
+    wants_map = False
+    wants_graph = False
+
+    def log_step(self, step: StepResult) -> None:
+        """Do nothing."""
+
+    def log_map(self, grid: GridMap) -> None:
+        """Do nothing."""
+
+    def log_graph(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
+        """Do nothing."""
+
+    def finish(self, result: RunResult) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class RerunLog:
+    """Records a run with rerun, into a file or a live viewer.
+
+    Parameters
+    ----------
+    path : Path or None
+        The recording to write (``run.rrd``).
+    spawn : bool
+        Open a viewer and stream to it instead; exactly one of `path` and `spawn`.
+    method : str
+    config : mapping
+        The run's configuration, shown as a text.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written or no viewer can be opened; later also from any other method.
+    """
+
+    def __init__(
+        self, *, path: Path | None = None, spawn: bool = False, method: str, config: Mapping[str, Any]
+    ) -> None:
+        import rerun as rr
+
+        if (path is None) != spawn:
+            raise ValueError("give either a path or spawn=True")
+        self._target = f"the recording {path}" if path is not None else "the rerun viewer"
+        self._remedy = (
+            "free some space, choose another folder or pass --rerun off"
+            if path is not None
+            else "a viewer needs a display and the rerun of this environment; pass --rerun file instead"
+        )
+        self._scans_per_send = SCANS_PER_SEND_LIVE if spawn else SCANS_PER_SEND
+        self._steps: list[StepResult] = []
+        self._last_step: StepResult | None = None
+        self._sent = _Sent()
+        self._budget = {"map": _Budget(MAP_SHARE, 20), "graph": _Budget(GRAPH_SHARE, 50)}
+        self._n_scans = 0
+        self._is_open = True
+        batching = rr.ChunkBatcherConfig(flush_tick=0.2 if spawn else 5.0, flush_num_bytes=4 << 20)
+        self._rec = rr.RecordingStream(f"slammot_graph {method}", batcher_config=batching)
+        with self._errors():
+            if path is not None:
+                self._rec.save(path)
+            else:
+                executable = Path(sys.executable).with_name("rerun")
+                rr.spawn(
+                    recording=self._rec, executable_path=str(executable) if executable.exists() else None
+                )
+                self._rec.flush(timeout_sec=10.0)
+            self._rec.set_log_time_enabled(False)
+            _log_style(self._rec)
+            self._log_text("/doc/config", f"# {method}\n{LEGEND}\n## Configuration\n{_config_table(config)}")
+
+    @property
+    def wants_map(self) -> bool:
+        """Whether a map is due now."""
+        return self._budget["map"].is_due(self._n_scans, self._sent.n_bytes)
+
+    @property
+    def wants_graph(self) -> bool:
+        """Whether the graph is due now."""
+        return self._budget["graph"].is_due(self._n_scans, self._sent.n_bytes)
+
+    def log_step(self, step: StepResult) -> None:
+        """Keep one step; a batch of them is sent at a time."""
+        if self._last_step is None:
+            with self._errors():
+                self._send_blueprint(step.T_map_base[:2], 15.0, has_truth=_has_truth(step))
+        self._steps.append(step)
+        self._last_step = step
+        self._n_scans += 1
+        if len(self._steps) >= self._scans_per_send:
+            self._send_steps()
+
+    def log_map(self, grid: GridMap) -> None:
+        """Log the map as it is after the last step."""
+        import rerun as rr
+
+        n_rows, n_cols = grid.p_occupied.shape
+        if n_rows == 0 or n_cols == 0:
+            return
+        # steps of 5%, which compress well and still show doubt
+        percent = np.round(np.nan_to_num(grid.p_occupied, nan=-0.05) * 20.0) * 5.0
+        cells = np.where(np.isnan(grid.p_occupied), -1, percent).astype(np.int8)
+        with self._errors():
+            self._set_time()
+            self._rec.log(
+                "/world/map/grid",
+                rr.GridMap(
+                    data=np.flipud(cells).tobytes(),  # its row 0 is the top, ours the lowest y
+                    format=rr.components.ImageFormat(
+                        width=n_cols, height=n_rows, color_model="L", channel_datatype="U8"
+                    ),
+                    cell_size=grid.resolution_m,
+                    translation=[grid.origin[0], grid.origin[1], -0.05],
+                    colormap=rr.components.Colormap.RvizMap,
+                ),
+            )
+        self._budget["map"].spend(self._n_scans, cells.size / 8)
+
+    def log_graph(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
+        """Log the graph as it is after the last step."""
+        import rerun as rr
+
+        with self._errors():
+            self._set_time()
+            self._rec.log("/world/graph/nodes", rr.Points3D(_at_height(nodes[:, :2], 0.01)))
+            for kind in ("odometry", "match", "closure"):
+                ends = np.array([(e.from_node, e.to_node) for e in edges if e.kind == kind], dtype=np.int64)
+                strips = _at_height(nodes[ends.reshape(-1, 2)][..., :2], 0.015)
+                self._rec.log(f"/world/graph/{kind}", rr.LineStrips3D(strips))
+            self._log_graph_view(nodes, edges)
+        self._budget["graph"].spend(self._n_scans, 12.0 * len(nodes) + 24.0 * len(edges))
+
+    def finish(self, result: RunResult) -> None:
+        """Log the final trajectory, map, graph and figures, and a layout that fits the final map."""
+        import rerun as rr
+
+        self._send_steps()
+        self.log_map(result.grid)
+        self.log_graph(result.nodes, result.edges)
+        with self._errors():
+            self._set_time()
+            if len(result.stamps):
+                path = _at_height(result.T_map_base[None, :, :2], 0.03)
+                self._rec.log("/world/final/path", rr.LineStrips3D(path))
+                centre, extent_m = _view_of(result)
+                has_truth = self._last_step is not None and _has_truth(self._last_step)
+                self._send_blueprint(centre, extent_m, has_truth=has_truth)
+            self._log_text("/doc/summary", _summary(result))
+
+    def close(self) -> None:
+        """Send what is still kept, wait until it is written, and close."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        try:
+            self._send_steps()
+            with self._errors():
+                self._rec.flush(timeout_sec=60.0)
+        finally:
+            self._rec.disconnect()
+
+    # ---------------------------------------------------------------- sending
+
+    def _send_steps(self) -> None:
+        """Send all kept steps as columns."""
+        if not self._steps:
+            return
+        steps, self._steps = self._steps, []
+        with self._errors():
+            self._send_scans(steps)
+            self._send_paths(steps)
+            self._send_tracks([step.tracks for step in steps], _Times(steps))
+            self._send_plots(steps)
+            self._send_texts(steps)
+
+    def _send_scans(self, steps: list[StepResult]) -> None:
+        """Send end points, ellipses and the robot's place."""
+        import rerun as rr
+
+        times = _Times(steps)
+        T_map_base = np.stack([step.T_map_base for step in steps])
+        n_valid = [int(np.count_nonzero(step.is_valid)) for step in steps]
+        beam = np.concatenate([np.flatnonzero(step.is_valid) for step in steps])
+        points_base = np.concatenate([step.scan.points_base()[step.is_valid] for step in steps])
+        is_moving = np.concatenate([step.is_moving[step.is_valid] for step in steps])
+        p_moving = np.concatenate([step.p_moving[step.is_valid] for step in steps])
+        reason = np.concatenate([step.reason[step.is_valid] for step in steps])
+        cov = np.concatenate([step.point_cov_map[step.is_valid] for step in steps])
+        row = np.repeat(np.arange(len(steps)), n_valid)
+        points_map = se2.transform(T_map_base[row], points_base[:, None, :])[:, 0]
+
+        half = 0.5 * T_map_base[:, 2]
+        zero = np.zeros(len(steps))
+        self._send(
+            "/world/robot",
+            times,
+            rr.Transform3D.columns(
+                translation=_at_height(T_map_base[:, :2], 0.0),
+                quaternion=np.column_stack([zero, zero, np.sin(half), np.cos(half)]).astype(np.float32),
+            ),
+        )
+        points = rr.Points3D.columns(
+            positions=_at_height(points_base, 0.06), class_ids=np.where(is_moving, 2, 1).astype(np.uint16)
+        )
+        why = rr.AnyValues.columns(
+            beam=beam.astype(np.uint16),
+            p_moving_percent=np.round(100.0 * np.nan_to_num(p_moving)).astype(np.uint8),
+            reason=reason.astype(np.uint8),
+        )
+        self._send("/world/robot/scan", times, [*points.partition(n_valid), *why.partition(n_valid)])
+        self._sent.n_bytes += 20 * len(beam)
+
+        n_rows = len(steps)
+        n_moving = np.bincount(row[is_moving], minlength=n_rows)
+        moving = rr.Points3D.columns(positions=_at_height(points_map[is_moving], 0.04))
+        self._send_batches("/world/moving/points", times, moving, n_moving)
+        self._send_ellipses(
+            "/world/ellipses/moving", times, points_map[is_moving], cov[is_moving], n_moving, 0.05
+        )
+        is_shown = ~is_moving & (beam % STATIC_ELLIPSE_EVERY == 0)
+        n_shown = np.bincount(row[is_shown], minlength=n_rows)
+        self._send_ellipses(
+            "/world/ellipses/static", times, points_map[is_shown], cov[is_shown], n_shown, 0.045
+        )
+
+        # two numbers a row need no more than this: covariance of the robot's place, in map axes
+        pose_cov = se2.body_to_world_covariance(np.stack([step.cov_map for step in steps]), T_map_base[:, 2])
+        one = np.ones(n_rows, dtype=np.int64)
+        self._send_ellipses("/world/estimate/cov", times, T_map_base[:, :2], pose_cov[:, :2, :2], one, 0.02)
+
+    def _send_paths(self, steps: list[StepResult]) -> None:
+        """Send one segment per scan of each path."""
+        import rerun as rr
+
+        poses: dict[str, list[FloatArray]] = {
+            "estimate": [step.T_map_base for step in steps],
+            "odom": [step.scan.T_odom_base for step in steps],
+        }
+        truth = [step.scan.truth.T_world_base for step in steps if step.scan.truth is not None]
+        known = [pose for pose in truth if pose is not None]
+        if len(known) == len(steps):
+            poses["truth"] = known
+        times = _Times(steps)
+        for z, (name, list_of_poses) in enumerate(poses.items()):
+            T = np.stack(list_of_poses)
+            # odom and world are moved so that all paths start where the estimate does
+            T_map = self._sent.T_map_frame.setdefault(
+                name, se2.compose(steps[0].T_map_base, se2.inverse(T[0]))
+            )
+            T_map_base = se2.compose(T_map, T)
+            if name == "truth":
+                self._send_errors(T_map_base, steps)
+            xy = T_map_base[:, :2]
+            start = self._sent.last_xy.get(name, xy[0])
+            segments = np.stack([np.concatenate([start[None], xy[:-1]]), xy], axis=1)
+            self._sent.last_xy[name] = xy[-1]
+            strips = rr.LineStrips3D.columns(strips=_at_height(segments, 0.022 - 0.002 * z))
+            self._send(f"/world/{name}/path", times, strips)
+
+    def _send_errors(self, T_map_base_true: FloatArray, steps: list[StepResult]) -> None:
+        error = se2.between(T_map_base_true, np.stack([step.T_map_base for step in steps]))
+        times = _Times(steps)
+        self._send_scalars("error/translation_m", times, np.hypot(error[:, 0], error[:, 1]))
+        self._send_scalars("error/rotation_deg", times, np.degrees(np.abs(error[:, 2])))
+
+    def _send_tracks(self, tracks: list[tuple[TrackState, ...]], times: "_Times") -> None:
+        """Send one batch per scan of all tracks, an empty one when there are none."""
+        import rerun as rr
+
+        n_tracks = np.array([len(states) for states in tracks], dtype=np.int64)
+        states = list(chain.from_iterable(tracks))
+        centre = np.array([state.position for state in states]).reshape(-1, 2)
+        velocity = np.array([state.velocity for state in states]).reshape(-1, 2)
+        cov = np.array([state.position_cov for state in states]).reshape(-1, 2, 2)
+        colors = np.array([_track_color(state.track_id) for state in states], dtype=np.uint32)
+        places = _at_height(centre, 0.08)
+        before = []
+        for of_scan in tracks:
+            before += [self._sent.last_track_xy.get(state.track_id, state.position) for state in of_scan]
+            self._sent.last_track_xy = {state.track_id: state.position for state in of_scan}
+        segments = np.stack([np.array(before).reshape(-1, 2), centre], axis=1)
+
+        labels = [str(state.track_id) for state in states]
+        points = rr.Points3D.columns(positions=places, colors=colors, labels=labels)
+        arrows = rr.Arrows3D.columns(vectors=_at_height(velocity, 0.0), origins=places, colors=colors)
+        trail = rr.LineStrips3D.columns(strips=_at_height(segments, 0.07), colors=colors)
+        self._send_batches("/world/tracks/centre", times, points, n_tracks)
+        self._send_batches("/world/tracks/velocity", times, arrows, n_tracks)
+        self._send_batches("/world/tracks/trail", times, trail, n_tracks)
+        self._send_ellipses("/world/tracks/cov", times, centre, cov, n_tracks, 0.075)
+
+    def _send_plots(self, steps: list[StepResult]) -> None:
+        times = _Times(steps)
+        for stage in dict.fromkeys(chain.from_iterable(step.stage_ms for step in steps)):
+            took = np.array([step.stage_ms.get(stage, np.nan) for step in steps])
+            self._send_scalars(f"timing/{stage}", times, took)
+        n_valid = np.array([np.count_nonzero(step.is_valid) for step in steps], dtype=np.float64)
+        n_moving = np.array([np.count_nonzero(step.is_moving) for step in steps], dtype=np.float64)
+        self._send_scalars("count/valid", times, n_valid)
+        self._send_scalars("count/moving", times, n_moving)
+        self._send_scalars("count/static", times, n_valid - n_moving)
+        self._send_scalars("count/tracks", times, np.array([float(len(step.tracks)) for step in steps]))
+        self._send_scalars("nis/nis", times, np.array([step.innovation_nis for step in steps]))
+        ends = np.full(len(steps), np.nan)
+        ends[[0, -1]] = NIS_BOUND_95
+        self._send_scalars("nis/bound_95", times, ends)
+        for name, cov in (
+            ("map", np.stack([step.cov_map for step in steps])),
+            ("relative", np.stack([step.cov_relative for step in steps])),
+        ):
+            semi_axis = np.sqrt(_axes(cov[:, :2, :2])[0][:, 0])
+            self._send_scalars(f"std/position_{name}_m", times, semi_axis)
+            heading = np.degrees(np.sqrt(np.maximum(cov[:, 2, 2], 0.0)))
+            self._send_scalars(f"std/heading_{name}_deg", times, heading)
+        for name in ("residual_m", "inlier_ratio"):
+            values = [np.nan if step.match is None else getattr(step.match, name) for step in steps]
+            self._send_scalars(f"match/{name}", times, np.array(values, dtype=np.float64))
+
+    def _send_texts(self, steps: list[StepResult]) -> None:
+        """Send events, and the match's state where it changes."""
+        import rerun as rr
+
+        times = _Times(steps)
+        row_of = [row for row, step in enumerate(steps) for _ in step.events]
+        if row_of:
+            texts = list(chain.from_iterable(step.events for step in steps))
+            levels = ["WARN" if _is_warning(text) else "INFO" for text in texts]
+            self._send("/log/events", times[row_of], rr.TextLog.columns(text=texts, level=levels))
+        states = ["none" if step.match is None else step.match.status for step in steps]
+        before = [self._sent.state, *states[:-1]]
+        changes = [row for row, state in enumerate(states) if state != before[row]]
+        if changes:
+            changed = rr.StateChange.columns(state=[states[row] for row in changes])
+            self._send("/state/match", times[changes], changed)
+        self._sent.state = states[-1]
+
+    def _send_ellipses(
+        self, path: str, times: "_Times", centres: FloatArray, cov: FloatArray, lengths: IntArray, z: float
+    ) -> None:
+        """Send 95% ellipses of (k, 2, 2) covariances in map axes."""
+        import rerun as rr
+
+        variances, angle = _axes(cov)
+        half_sizes = SIGMAS_95 * np.sqrt(variances)
+        zero = np.zeros(len(angle))
+        turn = np.column_stack([zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)])
+        columns = rr.Ellipsoids3D.columns(
+            centers=_at_height(centres, z),
+            half_sizes=_at_height(half_sizes, 0.002),
+            quaternions=turn.astype(np.float32),
+        )
+        self._send_batches(path, times, columns, lengths)
+
+    def _send_batches(
+        self, path: str, times: "_Times", columns: "rr.ComponentColumnList", lengths: IntArray
+    ) -> None:
+        """Send batches of changing size; nothing at all while there is nothing to show or to clear."""
+        n_instances = int(lengths.sum())
+        if n_instances or self._sent.last_length.get(path, 0):
+            self._send(path, times, columns.partition(lengths))
+        self._sent.last_length[path] = int(lengths[-1])
+        self._sent.n_bytes += 40 * n_instances
+
+    def _send_scalars(self, name: str, times: "_Times", values: FloatArray) -> None:
+        """Send the finite values of a plot `name`: its group and its line."""
+        import rerun as rr
+
+        rows = np.flatnonzero(np.isfinite(values))
+        if not len(rows):
+            return
+        path = f"/plots/{name}"
+        if path not in self._sent.named:
+            self._sent.named.add(path)
+            line = rr.SeriesLines(names=name.split("/")[1].replace("_", " "), colors=_LINE_COLORS.get(name))
+            self._rec.log(path, line, static=True)
+        self._send(path, times[rows], rr.Scalars.columns(scalars=values[rows]))
+
+    def _send(self, path: str, times: "_Times", columns: "Sequence[Any] | rr.ComponentColumnList") -> None:
+        self._rec.send_columns(path, indexes=times.columns(), columns=columns)
+
+    # ---------------------------------------------------------------- single entries
+
+    def _set_time(self) -> None:
+        if self._last_step is not None:
+            self._rec.set_time("scan", sequence=self._last_step.scan.index)
+            self._rec.set_time("stamp", timestamp=self._last_step.scan.stamp)
+
+    def _log_text(self, path: str, text: str) -> None:
+        import rerun as rr
+
+        self._rec.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    def _log_graph_view(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
+        """Log the shape of the graph: a thinned chain, and the closures with their ends."""
+        import rerun as rr
+
+        closures = [(edge.from_node, edge.to_node) for edge in edges if edge.kind == "closure"]
+        ends = set(chain.from_iterable(closures))
+        step = max(1, math.ceil(len(nodes) / MAX_VIEW_NODES))
+        kept = sorted(ends | set(range(0, len(nodes), step)))
+        names = [str(node) for node in kept]
+        self._rec.log(
+            "/graph/chain",
+            rr.GraphNodes(
+                node_ids=names,
+                positions=(nodes[kept, :2] * [20.0, -20.0]).astype(np.float32),  # the view's y points down
+                colors=np.array(
+                    [COLOR_CLOSURE if node in ends else COLOR_ESTIMATE for node in kept], np.uint32
+                ),
+                radii=np.full(len(kept), 4.0, dtype=np.float32),
+                show_labels=False,
+            ),
+            rr.GraphEdges(list(pairwise(names)), graph_type="undirected"),
+        )
+        pairs = [(str(a), str(b)) for a, b in closures]
+        self._rec.log("/graph/closures", rr.GraphEdges(pairs, graph_type="directed"))
+
+    def _send_blueprint(self, centre: FloatArray, extent_m: float, *, has_truth: bool) -> None:
+        self._rec.send_blueprint(_blueprint(centre, extent_m, has_truth=has_truth))
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Turn what rerun or the disk says into one line."""
+        try:
+            yield
+        except (RuntimeError, OSError) as error:
+            lines = str(error).strip().splitlines() or [type(error).__name__]
+            raise InputError(f"cannot write {self._target}: {lines[0]}; {self._remedy}") from error
+
+
+class _Sent:
+    """What earlier batches left for the next one."""
+
+    def __init__(self) -> None:
+        self.n_bytes = 0
+        self.T_map_frame: dict[str, FloatArray] = {}
+        self.last_xy: dict[str, FloatArray] = {}
+        self.last_track_xy: dict[int, FloatArray] = {}
+        self.last_length: dict[str, int] = {}
+        self.named: set[str] = set()
+        self.state = ""
+
+
+class _Budget:
+    """Says when something big is due, so that all of it stays a share of the scans' bytes."""
+
+    def __init__(self, share: float, n_scans_between: int) -> None:
+        self._share = share
+        self._n_scans_between = n_scans_between
+        self._n_bytes = 0.0
+        self._last_n_bytes = 0.0
+        self._last_n_scans = -n_scans_between
+
+    def is_due(self, n_scans: int, scan_bytes: int) -> bool:
+        if n_scans - self._last_n_scans < self._n_scans_between:
+            return False
+        return self._n_bytes + self._last_n_bytes <= self._share * scan_bytes
+
+    def spend(self, n_scans: int, n_bytes: float) -> None:
+        self._n_bytes += n_bytes
+        self._last_n_bytes = n_bytes
+        self._last_n_scans = n_scans
+
+
+class _Times:
+    """Scan indices and stamps of a batch, as columns of both timelines."""
+
+    def __init__(self, steps: Sequence[StepResult]) -> None:
+        self.index = np.array([step.scan.index for step in steps], dtype=np.int64)
+        seconds = np.array([step.scan.stamp for step in steps])
+        self.stamp = np.round(seconds * 1e9).astype(np.int64).view("datetime64[ns]")
+
+    def __getitem__(self, rows: "list[int] | IntArray") -> "_Times":
+        some = _Times([])
+        some.index, some.stamp = self.index[rows], self.stamp[rows]
+        return some
+
+    def columns(self) -> "list[rr.TimeColumn]":
+        import rerun as rr
+
+        return [rr.TimeColumn("scan", sequence=self.index), rr.TimeColumn("stamp", timestamp=self.stamp)]
+
+
+# -------------------------------------------------------------------- style and layout
+
+_LINE_COLORS = {
+    "count/moving": COLOR_MOVING,
+    "count/static": COLOR_STATIC,
+    "count/valid": 0x999999FF,
+    "nis/nis": COLOR_MATCH,
+    "nis/bound_95": COLOR_MOVING,
+    "timing/step": 0xDDDDDDFF,
+}
+
+
+def _log_style(rec: "rr.RecordingStream") -> None:
+    """Log once what never changes: classes, colours, sizes, the robot's body."""
+    import rerun as rr
+
+    def style(path: str, *what: "rr.AsComponents") -> None:
+        rec.log(path, what[0], *what[1:], static=True)
+
+    def line(path: str, color: int, width: float) -> None:
+        style(path, rr.LineStrips3D.from_fields(colors=color, radii=rr.Radius.ui_points(width)))
+
+    def ellipses(path: str, color: int | None, mode: "rr.components.FillMode", width: float = 0.7) -> None:
+        width_ui = rr.Radius.ui_points(width)
+        style(path, rr.Ellipsoids3D.from_fields(colors=color, line_radii=width_ui, fill_mode=mode))
+
+    classes = [(1, "static", COLOR_STATIC), (2, "moving", COLOR_MOVING)]
+    style("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.AnnotationContext(classes))
+    style("/world/robot/scan", rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.5)))
+    body = rr.Arrows3D(
+        vectors=[[0.6, 0.0, 0.0]], origins=[[0.0, 0.0, 0.09]], colors=COLOR_ESTIMATE, radii=0.05
+    )
+    style("/world/robot/body", body)
+    line("/world/estimate/path", COLOR_ESTIMATE, 1.5)
+    line("/world/odom/path", COLOR_ODOMETRY, 1.0)
+    line("/world/truth/path", COLOR_TRUTH, 1.0)
+    line("/world/final/path", COLOR_ESTIMATE, 2.0)
+    wire, filled = rr.components.FillMode.MajorWireframe, rr.components.FillMode.TransparentFillMajorWireframe
+    ellipses("/world/estimate/cov", 0x003A70FF, wire, 1.2)
+    ellipses("/world/ellipses/moving", COLOR_MOVING, wire)
+    ellipses("/world/ellipses/static", COLOR_STATIC, wire, 0.5)
+    ellipses("/world/tracks/cov", 0xF2A900FF, filled)
+    moving = rr.Points3D.from_fields(colors=0xE3342F60, radii=rr.Radius.ui_points(1.5))
+    style("/world/moving/points", moving)
+    style("/world/tracks/centre", rr.Points3D.from_fields(radii=rr.Radius.ui_points(5.0), show_labels=True))
+    style("/world/tracks/velocity", rr.Arrows3D.from_fields(radii=rr.Radius.ui_points(1.2)))
+    style("/world/tracks/trail", rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5)))
+    style(
+        "/world/graph/nodes",
+        rr.Points3D.from_fields(colors=COLOR_ESTIMATE, radii=rr.Radius.ui_points(2.5)),
+    )
+    line("/world/graph/odometry", COLOR_ODOMETRY, 0.8)
+    line("/world/graph/match", COLOR_MATCH, 1.2)
+    line("/world/graph/closure", COLOR_CLOSURE, 1.5)
+    states = {"converged": 0x4CAF50FF, "degenerate": 0xF2A900FF, "failed": COLOR_MOVING, "none": 0x777777FF}
+    style(
+        "/state/match",
+        rr.StateConfiguration(values=list(states), colors=np.array(list(states.values()), np.uint32)),
+    )
+
+
+def _seen_from_above(
+    name: str,
+    origin: str,
+    contents: list[str],
+    eye: "rrb.EyeControls3D",
+    overrides: "dict[rr.datatypes.EntityPath | str, Any] | None" = None,
+) -> "rrb.Spatial3DView":
+    import rerun.blueprint as rrb
+
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        contents=contents,
+        eye_controls=eye,
+        overrides=overrides,
+        background=(128, 140, 138),
+        line_grid=False,
+    )
+
+
+def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.Blueprint":
+    """Lay out the views; the map is seen from above, `extent_m` wide around `centre`."""
+    import rerun.blueprint as rrb
+
+    def from_above(x: float, y: float, height: float, up: tuple[float, float, float]) -> "rrb.EyeControls3D":
+        return rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=(x, y, height), look_target=(x, y, 0.0), eye_up=up
+        )
+
+    def until_cursor(n_scans: int | None = None) -> "rrb.VisibleTimeRanges":
+        start = (
+            rrb.TimeRangeBoundary.infinite()
+            if n_scans is None
+            else rrb.TimeRangeBoundary.cursor_relative(seq=-n_scans)
+        )
+        return rrb.VisibleTimeRanges(
+            timeline="scan", start=start, end=rrb.TimeRangeBoundary.cursor_relative(seq=0)
+        )
+
+    def plot(name: str, group: str) -> "rrb.TimeSeriesView":
+        return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name)
+
+    x, y = float(centre[0]), float(centre[1])
+    map_eye = from_above(x, y, 1.2 * extent_m, (0.0, 1.0, 0.0))
+    map_view = _seen_from_above(
+        "Map",
+        "/world",
+        ["+ /world/**", "- /world/graph/**", "+ /world/graph/closure", "- /world/final/**"],
+        map_eye,
+        overrides={
+            "/world/estimate/path": until_cursor(),
+            "/world/odom/path": until_cursor(),
+            "/world/truth/path": until_cursor(),
+            "/world/tracks/trail": until_cursor(TRAIL_SCANS),
+            "/world/moving/points": until_cursor(TRAIL_SCANS),
+        },
+    )
+    graph_entities = ["/world/map/**", "/world/graph/**", "/world/final/**"]
+    graph_map = _seen_from_above("Graph on the map", "/world", graph_entities, map_eye)
+    scan_eye = from_above(0.0, 0.0, 16.0, (1.0, 0.0, 0.0))
+    scan_view = _seen_from_above("Scan, robot's frame", "/world/robot", ["/world/robot/**"], scan_eye)
+    plots = [
+        plot("NIS of the match", "nis"),
+        plot("Points and tracks", "count"),
+        plot("Time per stage [ms]", "timing"),
+        plot("Uncertainty", "std"),
+        plot("Match", "match"),
+    ]
+    if has_truth:
+        plots.insert(0, plot("Error against truth", "error"))
+    texts = [
+        rrb.TextDocumentView(origin="/doc/config", name="Legend and configuration"),
+        rrb.TextLogView(origin="/log", name="Events"),
+        rrb.TextDocumentView(origin="/doc/summary", name="Summary"),
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Tabs(map_view, graph_map, active_tab=0),
+            rrb.Vertical(
+                rrb.Tabs(scan_view, rrb.GraphView(origin="/graph", name="Graph"), active_tab=0),
+                rrb.Tabs(*plots, active_tab=0),
+                rrb.StateTimelineView(origin="/state", name="State of the match"),
+                rrb.Tabs(*texts, active_tab=0),
+                row_shares=[4, 3, 1, 2],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(state="collapsed", timeline="scan"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _view_of(result: RunResult) -> tuple[FloatArray, float]:
+    """Centre (2,) and extent [m] of the known map and the trajectory."""
+    low, high = result.T_map_base[:, :2].min(axis=0), result.T_map_base[:, :2].max(axis=0)
+    rows, cols = np.nonzero(np.isfinite(result.grid.p_occupied))
+    if len(rows):
+        corners = np.array([[cols.min(), rows.min()], [cols.max() + 1, rows.max() + 1]])
+        corners_map = result.grid.origin + result.grid.resolution_m * corners
+        low, high = np.minimum(low, corners_map[0]), np.maximum(high, corners_map[1])
+    return 0.5 * (low + high), max(5.0, float((high - low).max()))
+
+
+# -------------------------------------------------------------------- small things
+
+
+def _at_height(xy: FloatArray, z: float) -> Any:
+    """Planar points (..., 2) as float32 (..., 3) at a height [m]."""
+    xyz = np.empty((*xy.shape[:-1], 3), dtype=np.float32)
+    xyz[..., :2] = xy
+    xyz[..., 2] = z
+    return xyz
+
+
+def _axes(cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Variances (k, 2) along the axes of (k, 2, 2) covariances, the larger first, and its angle [rad]."""
+    a, b, c = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+    mean, spread = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
+    variances = np.maximum(np.column_stack([mean + spread, mean - spread]), 0.0)
+    return variances, 0.5 * np.arctan2(2.0 * b, a - c)
+
+
+def _has_truth(step: StepResult) -> bool:
+    return step.scan.truth is not None and step.scan.truth.T_world_base is not None
+
+
+def _is_warning(event: str) -> bool:
+    return any(word in event for word in ("fail", "reject", "degenerate", "skip", "interrupt"))
+
+
+def _track_color(track_id: int) -> int:
+    return TRACK_COLORS[track_id % len(TRACK_COLORS)]
+
+
+def _config_table(config: Mapping[str, Any]) -> str:
+    """Lay a nested configuration out as a Markdown table."""
+
+    def rows(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
+        for key, value in values.items():
+            if isinstance(value, Mapping):
+                yield from rows(value, f"{prefix}{key}.")
+            else:
+                yield f"| `{prefix}{key}` | {value} |"
+
+    return "\n".join(["| key | value |", "|---|---|", *rows(config, "")])
+
+
+def _summary(result: RunResult) -> str:
+    """Say a run's figures in Markdown."""
+    n_closures = sum(edge.kind == "closure" for edge in result.edges)
+    lines = [
+        f"# {result.method}{'' if result.is_complete else ' (interrupted)'}",
+        "| | |",
+        "|---|---|",
+        f"| scans | {len(result.stamps)} ({result.n_skipped} skipped) |",
+        f"| graph | {len(result.nodes)} nodes, {n_closures} loop closures |",
+        f"| failed matches | {result.n_failed_matches} |",
+    ]
+    for stage, took in result.stage_ms.items():
+        if np.isfinite(took).any():
+            lines.append(f"| {stage} | {np.nanmedian(took):.3f} ms in the median |")
+    return "\n".join(lines)

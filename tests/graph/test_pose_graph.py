@@ -1,0 +1,207 @@
+import threading
+from collections.abc import Iterator
+
+import gtsam
+import numpy as np
+import pytest
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError, SlammotError
+from slammot_graph.graph import PoseGraph, PoseGraphConfig
+from slammot_graph.linalg import is_covariance
+from slammot_graph.types import FloatArray
+from tests.rooms import errors
+
+PRIOR_STD = 1e-3
+
+
+@pytest.fixture
+def graph() -> Iterator[PoseGraph]:
+    graph = PoseGraph(
+        PoseGraphConfig(prior_std_m=PRIOR_STD, prior_std_rad=PRIOR_STD, relinearize_threshold=1e-4)
+    )
+    yield graph
+    graph.close()
+
+
+def random_information(rng: np.random.Generator) -> FloatArray:
+    root = rng.normal(size=(3, 3))
+    return np.linalg.inv(
+        np.diag([0.05, 0.04, 0.02]) @ (root @ root.T + np.eye(3)) @ np.diag([0.05, 0.04, 0.02])
+    )
+
+
+def fill(graph: PoseGraph, rng: np.random.Generator, n: int = 25) -> None:
+    """A loop of n nodes with noisy edges and some closures, optimised until nothing moves."""
+    truth = np.array([[4 * np.cos(a), 4 * np.sin(a), a + np.pi / 2] for a in np.linspace(0.0, 6.5, n)])
+    graph.start(truth[0])
+    for k in range(1, n):
+        information = random_information(rng)
+        noise = rng.multivariate_normal(np.zeros(3), np.linalg.inv(information))
+        step = se2.compose(se2.between(truth[k - 1], truth[k]), se2.exp(noise))
+        graph.add_node(se2.compose(graph.pose(k - 1), step))
+        graph.add_edge("odometry", k - 1, k, step, information)
+        if k % 6 == 5:
+            back = se2.compose(se2.between(truth[k], truth[k - 5]), rng.normal(0, 0.03, 3))
+            graph.add_edge("closure", k, k - 5, back, random_information(rng))
+        graph.update()
+    for _ in range(5):
+        graph.update()
+
+
+def pose2(T: FloatArray) -> gtsam.Pose2:
+    return gtsam.Pose2(*T.tolist())
+
+
+def batch(graph: PoseGraph) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The same graph at once by Levenberg-Marquardt, from its edges alone."""
+    factors, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    first = graph.pose(0)
+    factors.add(gtsam.PriorFactorPose2(0, pose2(first), gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_STD)))
+    initial.insert(0, pose2(first))
+    for edge in graph.edges:
+        noise = gtsam.noiseModel.Gaussian.Information(edge.information)
+        factors.add(gtsam.BetweenFactorPose2(edge.from_node, edge.to_node, pose2(edge.T_from_to), noise))
+        if not initial.exists(edge.to_node):
+            initial.insert(edge.to_node, initial.atPose2(edge.from_node).compose(pose2(edge.T_from_to)))
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    return factors, gtsam.LevenbergMarquardtOptimizer(factors, initial, parameters).optimize()
+
+
+def test_poses_and_covariances_equal_those_of_a_batch(graph: PoseGraph, rng: np.random.Generator) -> None:
+    fill(graph, rng)
+    factors, values = batch(graph)
+    assert errors(graph.poses(), gtsam.utilities.extractPose2(values)) == pytest.approx((0.0, 0.0), abs=1e-4)
+    marginals = gtsam.Marginals(factors, values)
+    expected = np.array([marginals.marginalCovariance(k) for k in range(len(graph))])
+    np.testing.assert_allclose(graph.marginals(), expected, rtol=0.01, atol=1e-8)
+    for k in (0, 7, 24):
+        np.testing.assert_allclose(graph.pose(k), graph.poses()[k], atol=1e-9)
+        np.testing.assert_allclose(graph.marginal(k), expected[k], rtol=0.01, atol=1e-8)
+
+
+@pytest.mark.parametrize(("anchor", "node"), [(3, 17), (0, 24), (9, 10)])
+def test_relative_covariance_holds_by_monte_carlo_of_the_batch(
+    graph: PoseGraph, rng: np.random.Generator, anchor: int, node: int
+) -> None:
+    fill(graph, rng)
+    factors, values = batch(graph)
+    keys = sorted((anchor, node))
+    joint = gtsam.Marginals(factors, values).jointMarginalCovariance(keys).fullMatrix()
+    v = 0.1 * rng.multivariate_normal(np.zeros(6), joint, 40_000)  # small: to first order
+    poses = gtsam.utilities.extractPose2(values)
+    sampled = {
+        key: se2.compose(poses[key][None], se2.exp(v[:, 3 * i : 3 * i + 3])) for i, key in enumerate(keys)
+    }
+    T_anchor_node = se2.between(poses[anchor], poses[node])
+    offsets = se2.log(se2.between(T_anchor_node[None], se2.between(sampled[anchor], sampled[node])))
+    expected = 100.0 * np.cov(offsets.T)
+    got = graph.relative_covariance(anchor, node)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(got / scale, expected / scale, atol=0.04)
+    assert is_covariance(got)
+
+
+def test_relative_covariance_on_a_chain_is_the_compound_of_its_edges(graph: PoseGraph) -> None:
+    step, cov = np.array([1.0, 0.2, 0.5]), np.diag([0.02, 0.01, 0.03]) ** 2
+    graph.start(np.array([5.0, -3.0, 1.0]))
+    expected = np.zeros((3, 3))
+    for k in range(4):
+        graph.add_node(se2.compose(graph.pose(k), step))
+        graph.add_edge("match", k, k + 1, step, np.linalg.inv(cov))
+        graph.update()
+        expected = se2.compound_covariance(expected, step, cov)
+    np.testing.assert_allclose(graph.relative_covariance(0, 4), expected, rtol=1e-5)
+    np.testing.assert_array_equal(graph.relative_covariance(2, 2), np.zeros((3, 3)))
+
+
+def test_a_rank_deficient_edge_says_nothing_in_its_weak_direction(graph: PoseGraph) -> None:
+    step, cov = np.array([1.0, 0.0, 0.3]), np.diag([0.1, 0.1, 0.05]) ** 2
+    graph.start(np.zeros(3))
+    graph.add_node(step)
+    graph.add_edge("odometry", 0, 1, step, np.linalg.inv(cov))
+    weak = np.array([np.cos(0.4), np.sin(0.4), 0.0])
+    strong = np.eye(3) - np.outer(weak, weak)
+    measured = se2.compose(step, 0.02 * weak)  # wrong, but only where it says nothing
+    graph.add_edge("match", 0, 1, measured, 1e4 * strong)
+    graph.update()
+    got = graph.relative_covariance(0, 1)
+    assert weak @ got @ weak == pytest.approx(weak @ cov @ weak, rel=1e-2)
+    assert np.linalg.eigvalsh(got)[:2] == pytest.approx(1e-4, rel=0.05)
+    np.testing.assert_allclose(se2.between(step, graph.pose(1)), 0.0, atol=1e-3)
+
+
+def test_nodes_and_edges_are_numbered_and_kept(graph: PoseGraph, rng: np.random.Generator) -> None:
+    assert len(graph) == 0
+    assert graph.start(np.zeros(3)) == 0
+    assert graph.add_node(np.array([1.0, 0.0, 0.0])) == 1
+    information = random_information(rng)
+    graph.add_edge("closure", 0, 1, np.array([1.0, 0.0, 0.0]), information)
+    graph.update()
+    assert len(graph) == 2
+    assert graph.poses().shape == (2, 3)
+    assert graph.marginals().shape == (2, 3, 3)
+    (edge,) = graph.edges
+    assert (edge.kind, edge.from_node, edge.to_node) == ("closure", 0, 1)
+    np.testing.assert_array_equal(edge.information, information)
+
+
+def test_the_first_node_stays_where_the_prior_holds_it(graph: PoseGraph) -> None:
+    graph.start(np.array([3.0, -2.0, 3.0]))
+    np.testing.assert_allclose(graph.pose(0), [3.0, -2.0, 3.0], atol=1e-9)
+    np.testing.assert_allclose(graph.marginal(0), PRIOR_STD**2 * np.eye(3), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("T", "information", "text"),
+    [
+        ([np.nan, 0.0, 0.0], np.eye(3), "match edge 0-1 is not finite"),
+        ([np.inf, 0.0, 0.0], np.eye(3), "match edge 0-1 is not finite"),
+        ([1.0, 0.0, 0.0], np.full((3, 3), np.nan), "match edge 0-1 is not finite"),
+        ([1.0, 0.0, 0.0], np.zeros((3, 3)), "information of match edge 0-1 is not positive semi-definite"),
+        ([1.0, 0.0, 0.0], -np.eye(3), "information of match edge 0-1 is not positive semi-definite"),
+        ([1.0, 0.0, 0.0], np.diag([1.0, -0.1, 1.0]), "match edge 0-1 is not positive semi-definite"),
+    ],
+)
+def test_bad_edges_are_refused_and_leave_the_graph_as_it_was(
+    graph: PoseGraph, T: list[float], information: FloatArray, text: str
+) -> None:
+    graph.start(np.zeros(3))
+    graph.add_node(np.array([1.0, 0.0, 0.0]))
+    with pytest.raises(SlammotError, match=text):
+        graph.add_edge("match", 0, 1, np.array(T), information)
+    assert graph.edges == []
+    graph.add_edge("odometry", 0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3))
+    graph.update()
+    np.testing.assert_allclose(graph.pose(1), [1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_nodes_that_hang_on_nothing_cannot_be_solved(graph: PoseGraph) -> None:
+    graph.start(np.zeros(3))
+    graph.add_node(np.zeros(3))
+    graph.add_node(np.zeros(3))
+    graph.add_edge("odometry", 1, 2, np.zeros(3), np.eye(3))
+    with pytest.raises(SlammotError, match="the pose graph of 3 nodes cannot be solved"):
+        graph.update()
+
+
+def test_the_graph_has_a_thread_until_it_is_closed() -> None:
+    def threads() -> list[threading.Thread]:
+        return [thread for thread in threading.enumerate() if thread.name.startswith("pose-graph")]
+
+    n_before, stack = len(threads()), threading.stack_size()
+    graph = PoseGraph(PoseGraphConfig())
+    assert len(threads()) == n_before + 1
+    assert threading.stack_size() == stack
+    graph.start(np.zeros(3))
+    graph.close()
+    assert len(threads()) == n_before
+    graph.close()
+
+
+@pytest.mark.parametrize("name", ["prior_std_m", "prior_std_rad", "relinearize_threshold"])
+def test_impossible_graphs_are_refused(name: str) -> None:
+    text = r"graph\.prior_std_m, prior_std_rad and relinearize_threshold must be positive"
+    with pytest.raises(ConfigError, match=text):
+        PoseGraphConfig(**{name: 0.0})

@@ -1,0 +1,30 @@
+import numpy as np
+
+from slammot_graph.localization.localizer import FIRST_COV, fuse
+from slammot_graph.result_types import MatchResult
+from slammot_graph.types import FloatArray
+
+
+def match_of(information: FloatArray) -> MatchResult:
+    return MatchResult(
+        status="converged",
+        T_ref_base=np.zeros(3),
+        cov=np.eye(3),
+        information=information,
+        n_iterations=1,
+        n_correspondences=1,
+        inlier_ratio=1.0,
+        residual_m=0.0,
+    )
+
+
+def test_fusing_adds_information() -> None:
+    cov = np.diag([0.2, 0.1, 0.05]) ** 2
+    np.testing.assert_allclose(fuse(cov, match_of(np.linalg.inv(cov))), cov / 2, rtol=1e-9)
+    np.testing.assert_allclose(fuse(cov, match_of(np.zeros((3, 3)))), cov, rtol=1e-9)
+    weak = fuse(cov, match_of(np.diag([0.0, 1e6, 1e6])))
+    np.testing.assert_allclose(np.diag(weak), [0.04, 1 / (1e6 + 100), 1 / (1e6 + 400)], rtol=1e-6)
+
+
+def test_the_first_covariance_cannot_be_changed_by_accident() -> None:
+    assert not FIRST_COV.flags.writeable

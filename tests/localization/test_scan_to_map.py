@@ -1,0 +1,158 @@
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from slammot_graph import se2
+from slammot_graph.graph import PoseGraphConfig
+from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.linalg import is_covariance
+from slammot_graph.localization import Estimate, ScanToMap
+from slammot_graph.matching import LocalMapConfig, PointToLineConfig
+from slammot_graph.result_types import MatchResult
+from slammot_graph.scan import Scan
+from tests.rooms import CORRIDOR, ListLog, drive, errors, truth_from_start
+
+N_LOST = 3
+
+
+@pytest.fixture
+def localizer() -> Iterator[ScanToMap]:
+    localizer = ScanToMap(
+        noise=OdometryNoise(),
+        local_map=LocalMapConfig(max_keyframes=6, n_overlap=3),
+        matching=PointToLineConfig(),
+        graph=PoseGraphConfig(),
+        n_lost=N_LOST,
+        closure=None,
+    )
+    yield localizer
+    localizer.close()
+
+
+def step(
+    localizer: ScanToMap, scan: Scan, max_range: float = np.inf
+) -> tuple[Estimate, Estimate, MatchResult | None, int | None, list[str]]:
+    """Predicted, matched, match, node and events of one scan."""
+    points, is_valid = scan.points_base(), scan.is_valid(max_range)
+    predicted = localizer.predict(scan)
+    matched, match = localizer.match(points, is_valid)
+    node, events = localizer.commit(scan, points, is_valid)
+    return predicted, matched, match, node, events
+
+
+def covered(log: ListLog, *indices: int) -> ListLog:
+    for k in indices:
+        log.scans[k].ranges[:] = np.inf
+    return log
+
+
+def test_room_is_followed_with_nodes_at_keyframes(localizer: ScanToMap) -> None:
+    log = drive(60, with_person=False)
+    truth, nodes = truth_from_start(log), []
+    for k, scan in enumerate(log):
+        predicted, matched, match, node, events = step(localizer, scan)
+        T_map_base = se2.compose(localizer.T_map_local, matched.T_local_base)
+        assert errors(truth[k], T_map_base)[0] < 0.02
+        assert events == []
+        if match is not None:
+            assert match.status == "converged"
+            assert np.trace(matched.cov_relative) < np.trace(predicted.cov_relative)
+        if node is not None:
+            nodes.append(k)
+            assert node == len(nodes) - 1
+    final = localizer.final()
+    assert max(errors(truth, final.T_map_base)) < 0.02
+    assert final.node_scans.tolist() == nodes
+    np.testing.assert_allclose(final.T_map_base[nodes], final.nodes, atol=1e-9)
+    # keyframes of 0.3 m on steps of 0.08 m, or of 0.2 rad on steps of 0.04 rad
+    assert np.diff(nodes).tolist() == pytest.approx([4] * (len(nodes) - 1), abs=1)
+    kinds = [edge.kind for edge in final.edges]
+    assert kinds == ["odometry", "match"] * (len(nodes) - 1)
+    assert all(edge.to_node == edge.from_node + 1 for edge in final.edges if edge.kind == "odometry")
+    # the first map has nodes 0 to 5 and then gives way to that of node 3
+    anchors = [edge.from_node for edge in final.edges if edge.kind == "match"]
+    assert anchors[:8] == [0, 0, 0, 0, 0, 3, 3, 3]
+    assert all(is_covariance(cov) for cov in final.cov_map)
+    assert len(localizer.graph) == len(nodes)
+
+
+def test_covariance_relative_to_the_anchor_starts_anew_with_each_map(localizer: ScanToMap) -> None:
+    relative, absolute = [], []
+    for scan in drive(60, with_person=False):
+        step(localizer, scan)
+        estimate = localizer._estimate()
+        relative.append(np.trace(estimate.cov_relative))
+        absolute.append(np.trace(estimate.cov_absolute))
+    assert max(relative[30:]) < 2.0 * max(relative[:30])
+    assert absolute[-1] > relative[-1]
+
+
+def test_covariances_of_the_first_map_last_into_the_final_ones(localizer: ScanToMap) -> None:
+    online = [step(localizer, scan)[1].cov_absolute for scan in drive(14, with_person=False)]
+    np.testing.assert_allclose(localizer.final().cov_map, online, rtol=0.3, atol=2e-7)
+
+
+def test_along_a_corridor_the_odometry_decides(localizer: ScanToMap) -> None:
+    log = drive(40, walls=CORRIDOR, is_straight=True, with_person=False)
+    odometry = np.array([scan.T_odom_base for scan in log])
+    stds, along = [], 0.0
+    before = np.zeros(3)
+    for k, scan in enumerate(log):
+        # near points only: those farther on stand alone, without a normal
+        _, matched, match, _, _ = step(localizer, scan, max_range=4.5)
+        if match is not None:
+            assert match.status == "degenerate"
+            along += (se2.rotation(before[2]) @ se2.between(odometry[k - 1], odometry[k])[:2])[0]
+        before = matched.T_local_base
+        stds.append(np.sqrt(matched.cov_absolute[0, 0]))
+        assert matched.T_local_base[0] == pytest.approx(along, abs=0.01 + 0.03 * along)
+        assert abs(matched.T_local_base[1]) < 0.02
+        assert abs(matched.T_local_base[2]) < 0.02
+    assert stds[-1] > 0.05
+    assert stds[-1] > 1.5 * stds[10]
+    assert np.sqrt(matched.cov_absolute[1, 1]) < 0.2 * stds[-1]
+    final = localizer.final()
+    assert max(errors(truth_from_start(log), final.T_map_base)) < 3 * stds[-1]
+
+
+def test_a_covered_scan_is_predicted_and_the_next_matched(localizer: ScanToMap) -> None:
+    log = covered(drive(20, with_person=False), 10)
+    for k, scan in enumerate(log):
+        predicted, matched, match, node, events = step(localizer, scan)
+        if k == 10:
+            assert match is not None
+            assert match.status == "failed"
+            np.testing.assert_array_equal(matched.T_local_base, predicted.T_local_base)
+            np.testing.assert_allclose(matched.cov_relative, predicted.cov_relative, rtol=1e-9)
+            assert events == ["match failed: only 0 points found a partner"]
+        elif k > 10:
+            assert match is not None
+            assert match.status == "converged"
+            assert node != 0
+    assert max(errors(truth_from_start(log), localizer.final().T_map_base)) < 0.03
+
+
+def test_failures_in_a_row_start_a_new_local_map(localizer: ScanToMap) -> None:
+    log, events = covered(drive(30, with_person=False), 8, 9, 10, 11), {}
+    for k, scan in enumerate(log):
+        _, _, _, _, told = step(localizer, scan)
+        if told:
+            events[k] = told
+        if k == 10:
+            assert [key.node for key in localizer.local_map.keyframes] == [len(localizer.graph) - 1]
+    failed = "match failed: only 0 points found a partner"
+    lost = f"lost: {N_LOST} matches failed in a row, a new local map begins here"
+    assert events[8] == events[9] == [failed]
+    assert events[10] == [failed, lost]
+    final = localizer.final()
+    assert len(final.T_map_base) == 30
+    assert np.isfinite(final.T_map_base).all()
+    assert errors(truth_from_start(log), final.T_map_base)[0] < 0.3
+
+
+def test_nothing_yet_is_an_empty_trajectory(localizer: ScanToMap) -> None:
+    final = localizer.final()
+    assert final.T_map_base.shape == (0, 3)
+    assert final.cov_map.shape == (0, 3, 3)
+    assert (len(final.nodes), len(final.node_scans), final.edges) == (0, 0, ())

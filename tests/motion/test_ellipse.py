@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.grid import GridConfig, OccupancyGrid
+from slammot_graph.motion import (
+    REASONS,
+    ClusterConfig,
+    Detection,
+    MotionConfig,
+    detect_moving,
+    end_point_covariances,
+    reasons,
+)
+from slammot_graph.scan import Scan
+from tests.rooms import LASER, take_scan
+
+POSE = np.array([2.0, 0.5, 1.9])
+SMALL_COV = np.diag([0.01, 0.01, 0.003]) ** 2
+
+
+def seen_room(window_m: float | None = None) -> OccupancyGrid:
+    """The room, from scans turned little by little: no cell between two beams is left out."""
+    grid = OccupancyGrid(GridConfig(), window_m=window_m)
+    for now in range(30):
+        T = se2.compose(POSE, np.array([0.0, 0.0, 0.002 * (now - 15)]))
+        scan = take_scan(T)
+        origin = se2.transform(T, LASER.origin_base[None])[0]
+        grid.update(now, origin, scan.points(T), scan.is_valid(), scan.is_valid())
+    return grid
+
+
+def detect(scan: Scan, grid: OccupancyGrid, config: MotionConfig, cov: np.ndarray = SMALL_COV) -> Detection:
+    return detect_moving(scan, scan.is_valid(), POSE, cov, grid, config, ClusterConfig())
+
+
+@pytest.mark.parametrize("window_m", [None, 40.0])
+def test_a_person_in_free_space_moves_and_walls_do_not(window_m: float | None) -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    found = detect(scan, seen_room(window_m), MotionConfig())
+    assert scan.truth is not None
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)
+    assert found.is_moving.sum() > 5
+    np.testing.assert_array_equal(found.cluster, np.where(found.is_moving, 0, -1))
+    assert found.n_clusters == 1
+    np.testing.assert_array_equal(found.p_moving, found.is_moving.astype(float))
+    np.testing.assert_array_equal(found.reason == reasons.FREE, found.is_moving)
+    assert (found.reason[~found.is_moving] == reasons.OCCUPIED).mean() > 0.8
+    assert set(found.reason[~found.is_moving]) <= {reasons.OCCUPIED, reasons.UNKNOWN}
+
+
+def test_an_uncertain_pose_calls_nothing_moving() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    found = detect(scan, seen_room(), MotionConfig(), cov=np.diag([2.0, 2.0, 0.5]) ** 2)
+    assert not found.is_moving.any()
+
+
+def test_on_a_grid_never_seen_nothing_moves() -> None:
+    found = detect(take_scan(POSE), OccupancyGrid(GridConfig()), MotionConfig())
+    assert not found.is_moving.any()
+    assert (found.reason == reasons.UNKNOWN).all()
+
+
+def test_beams_without_a_return_are_not_judged() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    assert scan.truth is not None
+    scan.ranges[::3] = [np.nan, np.inf, -np.inf, -1.0, 0.0, 30.0, 1e9] * 8 + [np.nan] * 5
+    found = detect(scan, seen_room(), MotionConfig())
+    assert (found.reason[::3] == reasons.NOT_VALID).all()
+    assert np.isnan(found.p_moving[::3]).all()
+    assert np.isfinite(np.delete(found.p_moving, np.s_[::3])).all()
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving & scan.is_valid())
+
+
+def test_a_single_beam_is_discarded() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    alone = int(np.flatnonzero(scan.truth.is_moving)[0])  # type: ignore[union-attr]
+    plain = take_scan(POSE)
+    plain.ranges[alone] = scan.ranges[alone]
+    found = detect(plain, seen_room(), MotionConfig())
+    assert not found.is_moving.any()
+    assert found.reason[alone] == reasons.DISCARDED
+
+
+def test_the_test_stands_back_when_too_much_seems_to_move() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    found = detect(scan, seen_room(), MotionConfig(stand_back_share=0.02))
+    assert not found.is_moving.any()
+    assert found.n_clusters == 0
+    assert (found.cluster == -1).all()
+    np.testing.assert_array_equal(found.reason == reasons.STOOD_BACK, scan.truth.is_moving)  # type: ignore[union-attr]
+
+
+def test_without_a_test_nothing_moves() -> None:
+    found = Detection.nothing(np.array([True, False, True]))
+    assert found.is_moving.tolist() == [False, False, False]
+    np.testing.assert_array_equal(found.p_moving, [0.0, np.nan, 0.0])
+    assert found.reason[1] == reasons.NOT_VALID
+
+
+def test_point_covariances_turn_with_the_pose() -> None:
+    scan, cov = take_scan(POSE), np.diag([0.1, 0.02, 0.03]) ** 2
+    straight = end_point_covariances(scan, np.array([5.0, 5.0, 0.0]), cov, MotionConfig())
+    turned = end_point_covariances(scan, np.array([0.0, 1.0, 0.8]), cov, MotionConfig())
+    R = se2.rotation(0.8)
+    np.testing.assert_allclose(turned, R @ straight @ R.T, atol=1e-12)
+    assert (np.linalg.eigvalsh(turned) > 0.0).all()
+
+
+def test_every_reason_has_a_text() -> None:
+    numbers = {name: number for name, number in vars(reasons).items() if isinstance(number, int)}
+    assert sorted(numbers.values()) == list(range(len(REASONS)))
+    assert len(set(REASONS)) == len(REASONS)
+    assert REASONS[reasons.NOT_VALID] == "no valid return"
+    assert REASONS[reasons.FREE].startswith("moving: ")
+    for number in (
+        reasons.OCCUPIED,
+        reasons.UNKNOWN,
+        reasons.TOO_UNCERTAIN,
+        reasons.DISCARDED,
+        reasons.STOOD_BACK,
+    ):
+        assert REASONS[number].startswith("static: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"range_std_m": 0.0}, "motion.range_std_m and motion.angle_std_rad must be positive"),
+        ({"angle_std_rad": -1.0}, "motion.range_std_m and motion.angle_std_rad must be positive"),
+        ({"n_sigma": 0.0}, "motion.n_sigma must be positive, not 0.0"),
+        ({"max_cells": 0}, "motion.max_cells must be at least 1, not 0"),
+        ({"margin_cells": -1}, "motion.margin_cells must not be negative, not -1"),
+        ({"stand_back_share": 0.0}, r"motion.stand_back_share must be in \(0, 1\], not 0.0"),
+        ({"stand_back_share": 1.1}, r"motion.stand_back_share must be in \(0, 1\], not 1.1"),
+    ],
+)
+def test_impossible_tests_are_refused(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        MotionConfig(**changes)  # type: ignore[arg-type]

@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+
+from slammot_graph.errors import ConfigError
+from slammot_graph.linalg import mahalanobis2
+from slammot_graph.motion import Track, TrackConfig, Tracker
+from slammot_graph.types import FloatArray
+
+
+def update(tracker: Tracker, stamp_s: float, *centres: FloatArray) -> list[Track]:
+    k = len(centres)
+    beams = [np.arange(3 * c, 3 * c + 3) for c in range(k)]
+    return tracker.update(stamp_s, np.array(centres).reshape(-1, 2), np.zeros((k, 2, 2)), beams)
+
+
+def at(t: float, x0: float = 0.0, y0: float = 0.0, vx: float = 1.0, vy: float = 0.5) -> FloatArray:
+    return np.array([x0 + vx * t, y0 + vy * t])
+
+
+def test_a_walker_is_confirmed_and_followed(rng: np.random.Generator) -> None:
+    tracker = Tracker(TrackConfig())
+    reported = [update(tracker, 0.1 * k, at(0.1 * k) + rng.normal(0, 0.02, 2)) for k in range(60)]
+    assert [len(tracks) for tracks in reported[:4]] == [0, 0, 1, 1]
+    assert {track.track_id for tracks in reported for track in tracks} == {0}
+    last = reported[-1][0]
+    np.testing.assert_allclose(last.state, [*at(5.9), 1.0, 0.5], atol=0.1)
+    assert last.n_hits == 60
+    assert last.beams.tolist() == [0, 1, 2]
+
+
+def test_one_prediction_and_correction_by_hand() -> None:
+    config = TrackConfig(acceleration_std_m_s2=2.0, centre_std_m=0.5, start_speed_std_m_s=3.0, n_confirm=1)
+    tracker = Tracker(config)
+    update(tracker, 10.0, np.zeros(2))
+    track = update(tracker, 10.5, np.array([1.0, 0.0]))[0]
+    # x and v_x alone: P = [[.25, 0], [0, 9]], one step of 0.5 s, one measurement of variance .25
+    F, G = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([0.125, 0.5])
+    P = F @ np.diag([0.25, 9.0]) @ F.T + 4.0 * np.outer(G, G)
+    K = P[:, 0] / (P[0, 0] + 0.25)
+    np.testing.assert_allclose(track.state, [K[0], 0.0, K[1], 0.0], atol=1e-12)
+    np.testing.assert_allclose(track.cov[np.ix_([0, 2], [0, 2])], P - np.outer(K, P[0]), atol=1e-12)
+
+
+def test_the_id_survives_a_short_occlusion_without_beams() -> None:
+    tracker = Tracker(TrackConfig())
+    for k in range(15):
+        update(tracker, 0.1 * k, at(0.1 * k))
+    for k in range(15, 22):
+        hidden = update(tracker, 0.1 * k)
+        assert [track.track_id for track in hidden] == [0]
+        assert len(hidden[0].beams) == 0
+    np.testing.assert_allclose(hidden[0].state[:2], at(2.1), atol=0.15)
+    assert [track.track_id for track in update(tracker, 2.2, at(2.2))] == [0]
+
+
+def test_a_long_occlusion_ends_the_track() -> None:
+    tracker = Tracker(TrackConfig(max_missed_s=0.5))
+    for k in range(10):
+        update(tracker, 0.1 * k, at(0.1 * k))
+    for k in range(10, 16):
+        update(tracker, 0.1 * k)
+    assert tracker.tracks == []
+    for k in range(16, 20):
+        again = update(tracker, 0.1 * k, at(0.1 * k))
+    assert [track.track_id for track in again] == [1]
+
+
+def test_false_alarms_here_and_there_are_never_reported() -> None:
+    tracker = Tracker(TrackConfig(max_missed_s=0.3))
+    for k in range(20):
+        assert update(tracker, 0.1 * k, np.array([7.0 * k, -3.0])) == []
+
+
+def test_crossing_walkers_keep_their_ids(rng: np.random.Generator) -> None:
+    tracker = Tracker(TrackConfig(centre_std_m=0.05))
+    for k in range(50):
+        t = 0.1 * k
+        centres = [at(t, -2.5, -1.25, 1.0, 0.5), at(t, -2.5, 1.25, 1.0, -0.5)]
+        order = rng.permutation(2)
+        noise = rng.normal(0, 0.02, (2, 2))
+        tracks = update(tracker, t, *(centres[i] + noise[i] for i in order))
+        if k == 10:
+            before = {track.track_id: np.sign(track.state[3]) for track in tracks}
+    after = {track.track_id: np.sign(track.state[3]) for track in tracks}
+    assert len(before) == 2
+    assert after == before
+
+
+def test_covariance_of_a_track_is_honest(rng: np.random.Generator) -> None:
+    config, dt = TrackConfig(acceleration_std_m_s2=1.0, centre_std_m=0.1, gate=100.0), 0.1
+    nees, position_nees = [], []
+    for _ in range(60):
+        tracker, state = Tracker(config), np.array([*rng.normal(size=2), *rng.normal(size=2)])
+        for k in range(25):
+            tracks = update(tracker, dt * k, state[:2] + rng.normal(0, 0.1, 2))
+            truth, a = state, rng.normal(size=2)
+            state = np.array([*(state[:2] + dt * state[2:] + dt**2 / 2 * a), *(state[2:] + dt * a)])
+        error = tracks[0].state - truth
+        nees.append(mahalanobis2(error, tracks[0].cov))
+        position_nees.append(mahalanobis2(error[:2], tracks[0].cov[:2, :2]))
+    # means of 60 chi-square draws with 4 and 2 degrees of freedom: 4 +- 0.37, 2 +- 0.26 (one sigma)
+    assert 2.9 < np.mean(nees) < 5.1
+    assert 1.3 < np.mean(position_nees) < 2.8
+
+
+def test_what_the_pose_adds_to_a_centre_counts() -> None:
+    tracker = Tracker(TrackConfig(n_confirm=1))
+    uncertain = np.array([[[0.5, 0.1], [0.1, 0.2]]])
+    track = tracker.update(0.0, np.zeros((1, 2)), uncertain, [np.arange(2)])[0]
+    np.testing.assert_allclose(track.cov[:2, :2], uncertain[0] + 0.12**2 * np.eye(2))
+
+
+def test_a_backward_stamp_counts_as_no_time() -> None:
+    tracker = Tracker(TrackConfig())
+    for k in range(20):
+        tracks = update(tracker, 0.1 * k, at(0.1 * k))
+    state = tracks[0].state
+    tracks = update(tracker, 1.85, at(1.9))
+    assert [track.track_id for track in tracks] == [0]
+    np.testing.assert_allclose(tracks[0].state, state, atol=0.02)
+    assert np.linalg.eigvalsh(tracks[0].cov)[0] > 0.0
+
+
+def test_nothing_seen_nothing_tracked() -> None:
+    tracker = Tracker(TrackConfig())
+    assert update(tracker, 0.0) == []
+    assert update(tracker, 5.0) == []
+
+
+@pytest.mark.parametrize(
+    "name", ["acceleration_std_m_s2", "centre_std_m", "start_speed_std_m_s", "gate", "max_missed_s"]
+)
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_impossible_tracks_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=f"tracks.{name} must be positive, not {value}"):
+        TrackConfig(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_track_needs_a_hit() -> None:
+    with pytest.raises(ConfigError, match=r"tracks\.n_confirm must be at least 1, not 0"):
+        TrackConfig(n_confirm=0)

@@ -1,0 +1,12 @@
+"""Tests on recorded logs: in $SLAMMOT_DATA, else in ../shared/data seen from the project's root."""
+
+import os
+from pathlib import Path
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+
+def data_directory() -> Path:
+    """Where the recorded logs should be; the folder need not exist."""
+    named = os.environ.get("SLAMMOT_DATA")
+    return Path(named) if named else PROJECT_ROOT.parent / "shared" / "data"

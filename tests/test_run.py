@@ -1,0 +1,182 @@
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slammot_graph import se2
+from slammot_graph.baselines import KissIcpPipeline
+from slammot_graph.config import to_plain
+from slammot_graph.errors import InputError
+from slammot_graph.logs.log import SkippedScan
+from slammot_graph.methods import METHODS
+from slammot_graph.pipeline import Pipeline, PipelineConfig
+from slammot_graph.run import Run, make_pipeline
+from tests.rooms import LASER, ListLog, drive
+
+
+def test_steps_come_one_by_one_and_the_result_at_the_end() -> None:
+    log = drive(20)
+    run = Run(log)
+    steps = list(run)
+    result = run.result()
+    assert [step.scan for step in steps] == log.scans
+    assert result.is_complete
+    assert (result.method, result.config) == ("graph", to_plain(METHODS["graph"].config))
+    np.testing.assert_array_equal(result.stamps, [scan.stamp for scan in log])
+    np.testing.assert_array_equal(result.is_moving_online, [step.is_moving for step in steps])
+    np.testing.assert_array_equal(result.is_valid, [step.is_valid for step in steps])
+    np.testing.assert_array_equal(result.nis, [step.innovation_nis for step in steps])
+    np.testing.assert_array_equal(result.node_scans, [s.scan.index for s in steps if s.node is not None])
+    for name, times in result.stage_ms.items():
+        np.testing.assert_array_equal(times, [step.stage_ms[name] for step in steps])
+    assert result.n_failed_matches == 0
+    assert result.events == ()
+
+
+def test_raw_odometry_starts_where_the_trajectory_does() -> None:
+    log = drive(20)
+    result = Run(log).complete()
+    np.testing.assert_allclose(result.T_map_odom_base[0], result.T_map_base[0], atol=1e-9)
+    odometry = np.array([scan.T_odom_base for scan in log])
+    np.testing.assert_allclose(
+        se2.between(result.T_map_odom_base[3], result.T_map_odom_base[-1]),
+        se2.between(odometry[3], odometry[-1]),
+        atol=1e-9,
+    )
+
+
+def test_tracks_are_rows_of_plain_numbers() -> None:
+    run, rows = Run(drive(60)), []
+    for step in run:
+        for track in step.tracks:
+            (xx, xy), (_, yy) = track.position_cov
+            place = [*track.position, *track.velocity, xx, xy, yy]
+            rows.append([step.scan.stamp, track.track_id, *place, step.scan.index])
+    assert len(rows) > 10
+    np.testing.assert_array_equal(run.result().tracks, rows)
+
+
+@pytest.mark.parametrize("n", [1, 12])
+@pytest.mark.parametrize("method", ["graph", "docpfo"])
+def test_an_interrupted_run_has_a_valid_partial_result(method: str, n: int) -> None:
+    run, short = Run(drive(30), method), Run(drive(n), method).complete()
+    for k, _ in enumerate(run, start=1):
+        if k == n:
+            break
+    result = run.result()
+    assert not result.is_complete
+    assert short.is_complete
+    for name in (
+        "stamps",
+        "T_map_base",
+        "cov_map",
+        "is_valid",
+        "is_moving",
+        "p_moving",
+        "nodes",
+        "node_scans",
+    ):
+        np.testing.assert_array_equal(getattr(result, name), getattr(short, name))
+    np.testing.assert_array_equal(result.grid.p_occupied, short.grid.p_occupied)
+
+
+def test_an_interrupted_run_of_kiss_icp_has_a_partial_result_too() -> None:
+    run = Run(drive(30), "kiss-icp")
+    for k, _ in enumerate(run, start=1):
+        if k == 12:
+            break
+    result = run.result()
+    assert not result.is_complete
+    assert result.T_map_base.shape == (12, 3)
+    assert result.cov_map.shape == (12, 3, 3)
+
+
+def test_an_error_on_the_way_leaves_a_partial_result() -> None:
+    log = drive(10)
+    run = Run(log)
+
+    class StopError(Exception):
+        pass
+
+    def fail() -> None:
+        for k, _ in enumerate(run):
+            if k == 5:
+                raise StopError
+
+    with pytest.raises(StopError):
+        fail()
+    assert len(run.result().stamps) == 6
+
+
+def test_a_run_may_be_run_again() -> None:
+    run = Run(drive(15))
+    first, second = run.complete(), run.complete()
+    np.testing.assert_array_equal(first.T_map_base, second.T_map_base)
+    assert len(second.stamps) == 15
+
+
+def test_a_log_without_a_usable_scan_is_an_error_that_names_it() -> None:
+    log = ListLog([], skipped=[SkippedScan(place=f"line {k}", reason="no beam") for k in range(1, 6)])
+    run = Run(log)
+    text = r"list.log: none of its 5 scans is usable \(line 1: no beam; line 2: no beam; line 3: no beam\)"
+    with pytest.raises(InputError, match=text):
+        run.complete()
+    result = run.result()
+    assert not result.is_complete
+    assert len(result.T_map_base) == len(result.stamps) == 0
+    assert result.n_skipped == 5
+
+
+def test_scans_of_different_lasers_are_padded_with_beams_that_are_not_valid() -> None:
+    log = drive(6)
+    half = replace(LASER, n_beams=91, angle_increment=2 * LASER.angle_increment)
+    log.scans[1] = replace(log.scans[1], laser=half, ranges=log.scans[1].ranges[::2].copy())
+    result = Run(log).complete()
+    for array in (result.is_valid, result.is_moving, result.is_moving_online, result.p_moving):
+        assert array.shape == (6, 181)
+    assert result.is_valid[1, :91].all()
+    assert not result.is_valid[1, 91:].any()
+    assert not result.is_moving[1, 91:].any()
+    assert np.isnan(result.p_moving[1, 91:]).all()
+    assert result.is_valid[[0, 2, 3, 4, 5]].all()
+
+
+def test_failures_and_events_are_counted() -> None:
+    log = drive(20)
+    for k in (8, 9):
+        log.scans[k].ranges[:] = np.inf
+    result = Run(log, config=PipelineConfig(n_lost=2)).complete()
+    failed = "match failed: only 0 points found a partner"
+    assert result.events[:3] == (
+        (8, failed),
+        (9, failed),
+        (9, "lost: 2 matches failed in a row, a new local map begins here"),
+    )
+    assert result.n_failed_matches == sum(text.startswith("match failed") for _, text in result.events)
+    assert np.isnan(result.nis[[8, 9]]).all()
+
+
+def test_max_range_takes_the_place_of_the_configured_one() -> None:
+    result = Run(drive(5), max_range_m=3.0).complete()
+    assert result.config["max_range_m"] == 3.0
+    ranges = np.array([scan.ranges for scan in drive(5)])
+    np.testing.assert_array_equal(result.is_valid, ranges < 3.0)
+
+
+def test_threads_end_with_the_run() -> None:
+    def n_threads() -> int:
+        return sum(thread.name.startswith("pose-graph") for thread in threading.enumerate())
+
+    before = n_threads()
+    Run(drive(3)).complete()
+    for _ in Run(drive(3)):
+        break
+    assert n_threads() == before
+
+
+def test_a_configuration_makes_its_pipeline() -> None:
+    pipeline = make_pipeline(METHODS["graph"].config)
+    assert isinstance(pipeline, Pipeline)
+    pipeline.close()
+    assert isinstance(make_pipeline(METHODS["kiss-icp"].config), KissIcpPipeline)
