@@ -42,19 +42,15 @@ def update_beams(
     `stamp` holds for each cell the number `now` of the last scan that touched it; a cell whose stamp is
     below `oldest` has expired and counts as never seen.
     """
-    row_mask = log_odds.shape[0] - 1
-    col_mask = log_odds.shape[1] - 1
     n = end_points.shape[0]
     for k in range(n):
-        if not (is_hit[k] or is_soft_hit[k]):
-            continue
-        i = (math.floor(end_points[k, 1] * inv_resolution) - row0) & row_mask
-        j = (math.floor(end_points[k, 0] * inv_resolution) - col0) & col_mask
-        if stamp[i, j] == now:
-            continue
-        value = log_odds[i, j] if stamp[i, j] >= oldest else np.float32(0.0)
-        log_odds[i, j] = min(value + (l_occupied if is_hit[k] else l_soft), l_max)
-        stamp[i, j] = now
+        if is_hit[k]:
+            _add_hit(
+                log_odds, stamp, row0, col0, inv_resolution, now, oldest, end_points[k], l_occupied, l_max
+            )
+    for k in range(n):
+        if is_soft_hit[k]:
+            _add_hit(log_odds, stamp, row0, col0, inv_resolution, now, oldest, end_points[k], l_soft, l_max)
     x0 = origin[0] * inv_resolution
     y0 = origin[1] * inv_resolution
     last = -2
@@ -90,6 +86,27 @@ def update_beams(
         x_last = x1
         y_last = y1
         range_last = range1
+
+
+@kernel
+def _add_hit(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    inv_resolution: float,
+    now: int,
+    oldest: int,
+    point: FloatArray,
+    l_hit: float,
+    l_max: float,
+) -> None:
+    i = (int(math.floor(point[1] * inv_resolution)) - row0) & (log_odds.shape[0] - 1)
+    j = (int(math.floor(point[0] * inv_resolution)) - col0) & (log_odds.shape[1] - 1)
+    if stamp[i, j] != now:
+        value = log_odds[i, j] if stamp[i, j] >= oldest else np.float32(0.0)
+        log_odds[i, j] = min(value + l_hit, l_max)
+        stamp[i, j] = now
 
 
 @kernel

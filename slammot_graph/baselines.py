@@ -71,6 +71,7 @@ class KissIcpPipeline:
         self._icp = _make_kiss_icp(config)
         self.grid = OccupancyGrid(config.grid)
         self._T_odom_base: FloatArray | None = None
+        self._T_odom_registered: FloatArray = se2.IDENTITY
         self._T_map_base: FloatArray = se2.IDENTITY
         self._cov_map: FloatArray = FIRST_COV
         self._trajectory: list[FloatArray] = []
@@ -80,23 +81,22 @@ class KissIcpPipeline:
         """Take in the next scan; "step" in `stage_ms` is kiss-icp's `register_frame` alone."""
         is_valid = scan.is_valid(self.config.max_range_m)
         points = scan.points_base()
-        increment = se2.IDENTITY
-        if self._T_odom_base is not None:
-            increment = se2.between(self._T_odom_base, scan.T_odom_base)
+        if self._T_odom_base is None:
+            self._T_odom_base = self._T_odom_registered = scan.T_odom_base
+        predicted = se2.compose(self._T_map_base, se2.between(self._T_odom_base, scan.T_odom_base))
         self._T_odom_base = scan.T_odom_base
-        predicted = se2.compose(self._T_map_base, increment)
         frame = np.column_stack([points[is_valid], np.zeros(np.count_nonzero(is_valid))])
         if self.config.use_odometry:
-            self._icp.last_delta = _to_matrix(increment)
+            self._icp.last_delta = _to_matrix(se2.between(self._T_odom_registered, scan.T_odom_base))
         start = time.perf_counter()
         if len(frame):
             self._icp.register_frame(frame, np.zeros(0))
         register_ms = 1e3 * (time.perf_counter() - start)
-        pose = np.asarray(self._icp.last_pose, dtype=np.float64)
-        before = self._T_map_base
-        self._T_map_base = np.array([pose[0, 3], pose[1, 3], np.arctan2(pose[1, 0], pose[0, 0])])
-        if not len(frame):
-            self._T_map_base = predicted
+        before, self._T_map_base = self._T_map_base, predicted
+        if len(frame):
+            pose = np.asarray(self._icp.last_pose, dtype=np.float64)
+            self._T_map_base = np.array([pose[0, 3], pose[1, 3], np.arctan2(pose[1, 0], pose[0, 0])])
+            self._T_odom_registered = scan.T_odom_base
         moved = se2.between(before, self._T_map_base)
         cov = self.config.odometry_noise.covariance(moved)
         self._cov_map = se2.compound_covariance(self._cov_map, moved, cov)

@@ -150,7 +150,7 @@ class OccupancyGrid:
 
     def to_map(self) -> GridMap:
         """Crop a fixed grid to what was seen."""
-        seen = (self.stamp >= max(self.oldest, 0)) & ~self.is_rolling
+        seen = (self.stamp >= max(self.oldest, 0)) & (not self.is_rolling)
         rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
         if len(rows) == 0:
             nothing = np.full((1, 1), np.nan)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -98,6 +98,9 @@ class PipelineConfig:
     closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
 
     def __post_init__(self) -> None:
+        for name, kind in (("matcher", Matcher), ("test_covariance", TestCovariance)):
+            if getattr(self, name) not in get_args(kind):
+                raise ConfigError(f'{name} must be one of {get_args(kind)}, not "{getattr(self, name)}"')
         if not self.max_range_m > 0.0:
             raise ConfigError(f"max_range_m must be positive, not {self.max_range_m}")
         if self.n_window_keyframes < 1 or self.n_lost < 1:
@@ -154,7 +157,7 @@ class Pipeline:
             detection = self._detect(scan, is_valid, predicted)
         with watch.stage("match"):
             matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
-            nis = _innovation_nis(predicted, matched, match)
+            nis = _innovation_nis(predicted, match)
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
                 is_lost = match.status == "failed"
@@ -287,12 +290,11 @@ def _make_localizer(config: PipelineConfig) -> Localizer:
     )
 
 
-def _innovation_nis(predicted: Estimate, matched: Estimate, match: MatchResult | None) -> float:
+def _innovation_nis(predicted: Estimate, match: MatchResult | None) -> float:
     """Normalised innovation squared of the match: 3 degrees of freedom if prediction and match are honest."""
     if match is None or match.status == "failed":
         return math.nan
-    innovation = se2.log(se2.between(predicted.T_local_base, matched.T_local_base))
-    return mahalanobis2(innovation, predicted.cov_relative + match.cov)
+    return mahalanobis2(match.innovation, predicted.cov_relative + match.cov)
 
 
 def _turn(cov: FloatArray, theta: float) -> FloatArray:

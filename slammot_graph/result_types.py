@@ -19,6 +19,8 @@ class MatchResult:
     status : "converged", "degenerate" (some direction is not constrained) or "failed" (do not use it)
     T_ref_base : (3,) array
         Base in the frame of what was matched against (a local map's anchor, or the previous scan's base).
+    innovation : (3,) array
+        Tangent from the predicted pose to the matched one, body frame; zero where the match failed.
     cov : (3, 3) array
         Covariance of `T_ref_base`, right perturbation, order (x, y, theta); huge in unconstrained directions.
     information : (3, 3) array
@@ -34,6 +36,7 @@ class MatchResult:
 
     status: MatchStatus
     T_ref_base: FloatArray
+    innovation: FloatArray
     cov: FloatArray
     information: FloatArray
     n_iterations: int

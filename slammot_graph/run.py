@@ -1,6 +1,7 @@
 """A whole run: a log through a method, step by step, and its result at any time."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.baselines import KissIcpConfig, KissIcpPipeline
 from slammot_graph.config import to_plain
-from slammot_graph.errors import InputError
+from slammot_graph.errors import InputError, SlammotError
 from slammot_graph.logs import LaserLog
 from slammot_graph.methods import Config, get_method
 from slammot_graph.pipeline import Pipeline
@@ -22,7 +23,7 @@ def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
 
 
 class Run:
-    """Iterate it to run; ask for the `result` afterwards, or in between.
+    """Iterate it to run; ask for the `result` when the iteration has ended, early or not.
 
     Parameters
     ----------
@@ -81,9 +82,18 @@ class Run:
                     f"{self.log.path}: none of its {self.log.n_scans} scans is usable ({reasons})"
                 )
             self.is_complete = True
-        finally:
+        except BaseException:
+            with suppress(SlammotError):  # the error that ended the run is the one to tell
+                self._settle()
+            raise
+        self._settle()
+
+    def _settle(self) -> None:
+        """Take the optimised trajectory and the map, and end the pipeline."""
+        try:
             self._final = self.pipeline.final()
             self._grid = self.pipeline.render_map()
+        finally:
             self.pipeline.close()
 
     def complete(self) -> RunResult:

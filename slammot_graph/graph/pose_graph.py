@@ -112,15 +112,16 @@ class PoseGraph:
         self.edges.append(edge)
 
     def update(self) -> None:
-        """Bring what was added into the smoother; on failure that is dropped again and the error raised."""
+        """Bring what was added into the smoother.
+
+        Raises
+        ------
+        SlammotError
+            The graph cannot be solved, as when a node has no edge; it is of no use from then on.
+        """
         factors, values = self._new_factors, self._new_values
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        try:
-            self._in_thread(lambda: self._isam.update(factors, values))
-        except (RuntimeError, IndexError, ValueError) as error:
-            raise SlammotError(
-                f"the pose graph of {self._n_nodes} nodes cannot be solved: {error}"
-            ) from error
+        self._in_thread(lambda: self._isam.update(factors, values))
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
@@ -163,9 +164,6 @@ class PoseGraph:
 
         joint, T_anchor_node = self._in_thread(query)
         H = np.hstack([-T_anchor_node.inverse().AdjointMap(), np.eye(3)])
-        # gtsam orders the joint by key
-        if anchor > node:
-            joint = joint[np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])]
         return _checked(H @ joint @ H.T, f"node {node} relative to node {anchor}")
 
     def close(self) -> None:
@@ -173,7 +171,13 @@ class PoseGraph:
         self._thread.shutdown(wait=True)
 
     def _in_thread(self, call: Callable[[], T]) -> T:
-        return self._thread.submit(call).result()
+        try:
+            return self._thread.submit(call).result()
+        except (RuntimeError, IndexError, ValueError) as error:
+            cause = next(iter(str(error).strip().splitlines()), type(error).__name__)
+            raise SlammotError(
+                f"the pose graph of {self._n_nodes} nodes cannot be solved: {cause}"
+            ) from error
 
 
 def _large_stack_thread() -> ThreadPoolExecutor:
@@ -196,6 +200,8 @@ def _noise(edge: GraphEdge) -> gtsam.noiseModel.Gaussian:
     name = f"{edge.kind} edge {edge.from_node}-{edge.to_node}"
     if not (np.isfinite(edge.T_from_to).all() and np.isfinite(edge.information).all()):
         raise SlammotError(f"{name} is not finite")
+    if not np.allclose(edge.information, edge.information.T, rtol=1e-6):
+        raise SlammotError(f"the information of {name} is not symmetric")
     values, vectors = np.linalg.eigh(edge.information)
     if not values[-1] > 0.0 or values[0] < -1e-6 * values[-1]:
         raise SlammotError(f"the information of {name} is not positive semi-definite")

@@ -21,6 +21,12 @@ from slammot_graph.result_types import MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray
 
+LOST_STD = (3.0, 3.0, 0.8)
+"""Standard deviations [m, m, rad] of the way since the last node when the robot is lost."""
+
+LOST_PATH_M = 20.0
+"""Way that a lost robot may have been carried, when it comes to recognising places."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Visit:
@@ -102,24 +108,25 @@ class ScanToMap:
     ) -> tuple[int | None, list[str]]:
         """See `Localizer`."""
         events: list[str] = []
+        has_points = np.count_nonzero(is_static) >= self.matching.min_pairs
         if self._match is not None and self._match.status == "failed":
-            self._n_failed += 1
+            self._n_failed += bool(has_points)
             events.append(f"match failed: {self._match.reason}")
             if self._n_failed >= self.n_lost:
-                self.local_map.start([])
-                self._n_failed = 0
+                self._leave_local_map()
                 events.append(f"lost: {self.n_lost} matches failed in a row, a new local map begins here")
         else:
             self._n_failed = 0
         node = None
-        if self.local_map.wants(self._T_local_base):
+        if len(self.graph) == 0 or (has_points and self.local_map.wants(self._T_local_base)):
             node = self._add_node(scan)
-            events += self._add_keyframe(node, scan, points_base, is_static)
-        T_anchor_base = se2.between(self.local_map.anchor.T_local_base, self._T_local_base)
+            if has_points:
+                events += self._add_keyframe(node, scan, points_base, is_static)
+        anchor, T_anchor_base = self._from_anchor()
         visit = _Visit(
             node=len(self.graph) - 1,
             T_node_base=se2.between(self._T_local_node, self._T_local_base),
-            anchor=self.local_map.anchor.node,
+            anchor=anchor,
             T_anchor_base=T_anchor_base,
             cov_relative=self._cov_relative,
         )
@@ -151,14 +158,32 @@ class ScanToMap:
         """See `Localizer`."""
         self.graph.close()
 
-    def _estimate(self) -> Estimate:
-        cov_absolute = self._cov_anchor
+    def _from_anchor(self) -> tuple[int, FloatArray]:
+        """Node of the anchor and the base in its frame; without a local map, of the last node."""
         if self.local_map.keyframes:
-            T_anchor_base = se2.between(self.local_map.anchor.T_local_base, self._T_local_base)
-            cov_absolute = se2.compound_covariance(self._cov_anchor, T_anchor_base, self._cov_relative)
+            anchor = self.local_map.anchor
+            return anchor.node, se2.between(anchor.T_local_base, self._T_local_base)
+        return max(len(self.graph) - 1, 0), se2.between(self._T_local_node, self._T_local_base)
+
+    def _estimate(self) -> Estimate:
+        _, T_anchor_base = self._from_anchor()
+        cov_absolute = se2.compound_covariance(self._cov_anchor, T_anchor_base, self._cov_relative)
         return Estimate(
             T_local_base=self._T_local_base, cov_relative=self._cov_relative, cov_absolute=cov_absolute
         )
+
+    def _leave_local_map(self) -> None:
+        """Begin anew: until the next keyframe the last node stands in for the anchor.
+
+        The robot may have been carried: the way since the last node is as good as unknown.
+        """
+        last = len(self.graph) - 1
+        self._cov_odometry = self._cov_odometry + np.diag(np.square(LOST_STD))
+        self._cov_anchor = self.graph.marginal(last)
+        self._cov_relative = self._cov_odometry
+        self._path_m += LOST_PATH_M
+        self.local_map.start([])
+        self._n_failed = 0
 
     def _add_node(self, scan: Scan) -> int:
         """Add the scan to the graph, tied by odometry to the last node and by the match to the anchor."""
@@ -169,7 +194,7 @@ class ScanToMap:
             node = self.graph.add_node(se2.compose(self.T_map_local, self._T_local_base))
             T_last_node = se2.between(self._T_odom_node, scan.T_odom_base)
             self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
-            if self._match is not None and self._match.status != "failed":
+            if self._match is not None and self._match.status != "failed" and self.local_map.keyframes:
                 anchor = self.local_map.anchor.node
                 self.graph.add_edge("match", anchor, node, self._match.T_ref_base, self._match.information)
             self.graph.update()

@@ -59,6 +59,7 @@ def estimate_normals(
             sy += points[hi, 1]
         count = hi - lo + 1
         if count < 3:
+            _grazed_normal(points, is_member, k, max_thickness, out)
             continue
         mx = sx / count
         my = sy / count
@@ -83,6 +84,34 @@ def estimate_normals(
 
 
 @kernel
+def _grazed_normal(
+    points: FloatArray, is_member: BoolArray, k: int, max_thickness: float, out: FloatArray
+) -> None:
+    """Give point `k` the normal of the line through the points before and after it, if it lies on that line.
+
+    Beams that graze a wall hit it far apart; such points must not pass for landmarks, since they move along the
+    wall with the robot.
+    """
+    if k == 0 or k == points.shape[0] - 1 or not (is_member[k - 1] and is_member[k + 1]):
+        return
+    ax = points[k, 0] - points[k - 1, 0]
+    ay = points[k, 1] - points[k - 1, 1]
+    bx = points[k + 1, 0] - points[k, 0]
+    by = points[k + 1, 1] - points[k, 1]
+    a = math.sqrt(ax * ax + ay * ay)
+    b = math.sqrt(bx * bx + by * by)
+    if ax * bx + ay * by <= 0.0 or max(a, b) > 4.0 * min(a, b):
+        return
+    dx = points[k + 1, 0] - points[k - 1, 0]
+    dy = points[k + 1, 1] - points[k - 1, 1]
+    length = math.sqrt(dx * dx + dy * dy)
+    if abs(ax * dy - ay * dx) / length > 2.0 * max_thickness:
+        return
+    out[k, 0] = -dy / length
+    out[k, 1] = dx / length
+
+
+@kernel
 def insert_points(
     map_points: FloatArray,
     map_normals: FloatArray,
@@ -100,7 +129,7 @@ def insert_points(
 
     `nearest` (side, side), side a power of two, wraps around: cell (i & mask, j & mask) holds the number of the map
     point nearest to the cell's centre, among points numbered `first` and up. A point nearer than `min_spacing` to
-    a point already there, with a like normal, is left out. Numbers are stored modulo the capacity.
+    the one already there is left out, unless the two lie on different lines. Numbers are stored modulo the capacity.
     """
     mask = nearest.shape[0] - 1
     capacity = map_points.shape[0]
@@ -118,11 +147,11 @@ def insert_points(
         if old >= first:
             dx = map_points[old % capacity, 0] - x
             dy = map_points[old % capacity, 1] - y
-            alike = (
-                map_normals[old % capacity, 0] * new_normals[k, 0]
-                + map_normals[old % capacity, 1] * new_normals[k, 1]
-            )
-            if dx * dx + dy * dy < min_spacing * min_spacing and abs(alike) > 0.7:
+            ox = map_normals[old % capacity, 0]
+            oy = map_normals[old % capacity, 1]
+            alike = abs(ox * new_normals[k, 0] + oy * new_normals[k, 1]) > 0.7
+            has_no_line = new_normals[k, 0] == 0.0 and new_normals[k, 1] == 0.0
+            if dx * dx + dy * dy < min_spacing * min_spacing and (alike or has_no_line):
                 continue
         slot = n_points % capacity
         map_points[slot, 0] = x

@@ -60,6 +60,8 @@ class PointToLineConfig:
                 raise ConfigError(f"point_to_line.{name} must not be negative, not {getattr(self, name)}")
         if self.max_iterations < 1 or self.min_pairs < 3:
             raise ConfigError("point_to_line needs max_iterations >= 1 and min_pairs >= 3")
+        if not self.weak_ratio < 0.3:
+            raise ConfigError(f"point_to_line.weak_ratio must be below 0.3, not {self.weak_ratio}")
         if not 0.0 <= self.min_inlier_ratio < 1.0:
             raise ConfigError(
                 f"point_to_line.min_inlier_ratio must be in [0, 1), not {self.min_inlier_ratio}"
@@ -184,16 +186,21 @@ def _judge(
         T_free = T_predicted
     else:
         lever_m = float(np.sqrt(np.mean(np.sum(points_base[is_static] ** 2, axis=1))))
-        information, pseudo_inverse, n_weak = _information(solution.H, n_pairs, lever_m, config)
+        information, pseudo_inverse, strong, n_weak = _information(solution.H, n_pairs, lever_m, config)
         status = "converged" if n_weak == 0 else "degenerate"
         reason = "" if n_weak == 0 else f"{n_weak} of 3 directions are not determined"
+        if n_weak == 3:
+            status, reason = "failed", "no direction is determined"
         T = solution.T
-        T_free = se2.compose(T, -pseudo_inverse @ solution.g)
+        if n_weak:
+            T = se2.compose(T_predicted, se2.exp(strong @ se2.log(se2.between(T_predicted, T))))
+        T_free = se2.compose(T, se2.exp(-pseudo_inverse @ solution.g))
     cov = invert(information + 1e-6 * np.eye(3))
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(
         status=match_status,
         T_ref_base=se2.between(local_map.anchor.T_local_base, T_free),
+        innovation=se2.log(se2.between(T_predicted, T_free)),
         cov=cov,
         information=information,
         n_iterations=solution.iterations,
@@ -207,10 +214,11 @@ def _judge(
 
 def _information(
     H: FloatArray, n_pairs: int, lever_m: float, config: PointToLineConfig
-) -> tuple[FloatArray, FloatArray, int]:
+) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """Information of a match from its normal matrix, weak directions left out.
 
-    Returns the information (3, 3), the pseudo-inverse of H on the strong directions, and the number of weak ones.
+    Returns the information (3, 3), the pseudo-inverse of H on the strong directions, the projection of a tangent
+    onto them, and the number of weak ones.
     Directions are compared after scaling the rotation by `lever_m`.
     """
     scale = np.array([1.0, 1.0, 1.0 / lever_m])
@@ -222,4 +230,5 @@ def _information(
     information = (back * np.where(is_strong, 1.0 / variance, 0.0)) @ back.T
     forth = vectors * scale[:, None]
     pseudo_inverse = (forth * np.where(is_strong, 1.0 / np.maximum(values, 1e-12), 0.0)) @ forth.T
-    return information, pseudo_inverse, int(np.count_nonzero(~is_strong))
+    strong = forth[:, is_strong] @ (vectors / scale[:, None])[:, is_strong].T
+    return information, pseudo_inverse, strong, int(np.count_nonzero(~is_strong))

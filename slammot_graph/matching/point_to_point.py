@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slammot_graph import se2
 from slammot_graph.errors import ConfigError
 from slammot_graph.linalg import invert
 from slammot_graph.matching import _kernels
@@ -81,6 +82,7 @@ def match_scans(
         return MatchResult(
             status="failed",
             T_ref_base=T_start,
+            innovation=np.zeros(3),
             cov=1e6 * np.eye(3),
             information=np.zeros((3, 3)),
             n_iterations=iterations,
@@ -96,6 +98,7 @@ def match_scans(
     return MatchResult(
         status="converged",
         T_ref_base=T,
+        innovation=se2.log(se2.between(T_start, T)),
         cov=invert(information + 1e-6 * np.eye(3)),
         information=information,
         n_iterations=iterations,

@@ -89,7 +89,7 @@ class Detection:
         return cls(
             is_moving=np.zeros(n, dtype=np.bool_),
             p_moving=np.where(is_valid, 0.0, np.nan),
-            reason=np.where(is_valid, reasons.OCCUPIED, reasons.NOT_VALID),
+            reason=np.where(is_valid, reasons.NOT_TESTED, reasons.NOT_VALID),
             cluster=np.full(n, -1),
             n_clusters=0,
             point_cov=np.zeros((n, 2, 2)),

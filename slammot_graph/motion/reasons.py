@@ -1,6 +1,6 @@
 """Why a beam was called moving or not: the numbers in `StepResult.reason` index `REASONS`."""
 
-NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK, TRACKED = range(8)
+NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK, TRACKED, NOT_TESTED = range(9)
 
 REASONS = (
     "no valid return",
@@ -11,4 +11,5 @@ REASONS = (
     "static: free cells only, but its cluster is too small or too wide",
     "static: too much of the scan seemed to move, or the match failed",
     "moving: where a tracked object was expected, and no occupied cell",
+    "static: this method makes no test",
 )

@@ -66,7 +66,8 @@ class Track:
     start : (2,) array
         Where it was first seen [m].
     n_hits : int
-    last_hit_s : float
+    missed_s : float
+        Time since the last cluster.
     beams : (k,) int array
         Beams of the latest scan; empty when the track was only predicted.
     """
@@ -76,7 +77,7 @@ class Track:
     cov: FloatArray
     start: FloatArray
     n_hits: int
-    last_hit_s: float
+    missed_s: float
     beams: IntArray
 
 
@@ -121,24 +122,22 @@ class Tracker:
         Confirmed tracks.
         """
         dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
-        self._stamp_s = stamp_s
+        self._stamp_s = stamp_s if self._stamp_s is None else max(stamp_s, self._stamp_s)
+        if stamp_s < self._stamp_s - self.config.max_missed_s:
+            self._stamp_s = stamp_s  # the clock was set back for good
         if not self.tracks and not len(centres):
             return []
         predicted = [self._predict(track, dt) for track in self.tracks]
         noise = centre_covs + self.config.centre_std_m**2 * np.eye(2)
         pairs = self._assign(predicted, centres, noise)
-        joined = {t: self._correct(predicted[t], centres[c], noise[c], stamp_s, beams[c]) for t, c in pairs}
+        joined = {t: self._correct(predicted[t], centres[c], noise[c], beams[c]) for t, c in pairs}
         taken = {c for _, c in pairs}
         kept = [
             joined.get(t, track)
             for t, track in enumerate(predicted)
-            if t in joined or stamp_s - track.last_hit_s <= self.config.max_missed_s
+            if t in joined or track.missed_s <= self.config.max_missed_s
         ]
-        begun = [
-            self._begin(centres[c], noise[c], stamp_s, beams[c])
-            for c in range(len(centres))
-            if c not in taken
-        ]
+        begun = [self._begin(centres[c], noise[c], beams[c]) for c in range(len(centres)) if c not in taken]
         self.tracks = kept + begun
         return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
 
@@ -153,7 +152,7 @@ class Tracker:
             cov=F @ track.cov @ F.T + Q,
             start=track.start,
             n_hits=track.n_hits,
-            last_hit_s=track.last_hit_s,
+            missed_s=track.missed_s + dt,
             beams=np.empty(0, dtype=np.int64),
         )
 
@@ -168,9 +167,7 @@ class Tracker:
         rows, cols = linear_sum_assignment(cost)
         return [(int(t), int(c)) for t, c in zip(rows, cols, strict=True) if cost[t, c] <= self.config.gate]
 
-    def _correct(
-        self, track: Track, centre: FloatArray, noise: FloatArray, stamp_s: float, beams: IntArray
-    ) -> Track:
+    def _correct(self, track: Track, centre: FloatArray, noise: FloatArray, beams: IntArray) -> Track:
         S = track.cov[:2, :2] + noise
         K = np.linalg.solve(S, track.cov[:2, :]).T
         cov = track.cov - K @ track.cov[:2, :]
@@ -180,11 +177,11 @@ class Tracker:
             cov=0.5 * (cov + cov.T),
             start=track.start,
             n_hits=track.n_hits + 1,
-            last_hit_s=stamp_s,
+            missed_s=0.0,
             beams=beams,
         )
 
-    def _begin(self, centre: FloatArray, noise: FloatArray, stamp_s: float, beams: IntArray) -> Track:
+    def _begin(self, centre: FloatArray, noise: FloatArray, beams: IntArray) -> Track:
         cov = np.zeros((4, 4))
         cov[:2, :2] = noise
         cov[2, 2] = cov[3, 3] = self.config.start_speed_std_m_s**2
@@ -195,6 +192,6 @@ class Tracker:
             cov=cov,
             start=centre,
             n_hits=1,
-            last_hit_s=stamp_s,
+            missed_s=0.0,
             beams=beams,
         )
