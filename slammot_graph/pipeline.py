@@ -160,8 +160,8 @@ class Pipeline:
             nis = _innovation_nis(predicted, match)
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
-                is_lost = match.status == "failed"
-                detection = detection.stand_back() if is_lost else self._detect(scan, is_valid, matched)
+                is_doubtful = match.status == "failed" or nis > self.config.motion.stand_back_nis
+                detection = detection.stand_back() if is_doubtful else self._detect(scan, is_valid, matched)
         is_static = is_valid & ~detection.is_moving
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)

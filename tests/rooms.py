@@ -28,6 +28,7 @@ def box(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
 
 
 ROOM = np.vstack([box(-6, -4, 6, 4.5), box(-5, -3, -4, -1), box(4.2, 2, 5, 3), box(-0.5, -0.5, 0.3, 0.4)])
+HALL = np.vstack([box(-9, -10, 12, 11), box(7, -6, 8, 4), box(-6, 6, 3, 7)])
 CORRIDOR = np.array([[-200.0, -1.0, 200.0, -1.0], [-200.0, 1.0, 200.0, 1.0]])
 
 
@@ -117,6 +118,22 @@ def drive(
         error = rng.normal([0.0, 0.0, 0.001], [0.004, 0.002, 0.004])
         T_world_base, T_odom_base = se2.compose(T_world_base, step), se2.compose(T_odom_base, step + error)
     return ListLog(scans)
+
+
+def covered(log: ListLog, *indices: int) -> ListLog:
+    """The log itself, with the laser covered in some scans."""
+    for k in indices:
+        log.scans[k].ranges[:] = np.inf
+    return log
+
+
+def carried(log: ListLog, start: int) -> ListLog:
+    """The log itself; from scan `start` on the robot is in the hall, where nothing is like the room."""
+    for scan in log.scans[start:]:
+        assert scan.truth is not None
+        assert scan.truth.T_world_base is not None
+        scan.ranges[:] = take_scan(scan.truth.T_world_base, walls=HALL).ranges
+    return log
 
 
 def truth_from_start(log: ListLog) -> FloatArray:

@@ -8,7 +8,7 @@ from slammot_graph.baselines import KissIcpConfig, KissIcpPipeline
 from slammot_graph.errors import ConfigError
 from slammot_graph.graph.odometry_noise import OdometryNoise
 from slammot_graph.result_types import StepResult
-from tests.rooms import LASER, ListLog, drive, errors, truth_from_start
+from tests.rooms import LASER, ListLog, covered, drive, errors, truth_from_start
 
 
 def run(log: ListLog, config: KissIcpConfig) -> tuple[KissIcpPipeline, list[StepResult]]:
@@ -70,12 +70,21 @@ def test_beams_that_are_no_measurements_are_borne(rng: np.random.Generator) -> N
     assert errors(truth_from_start(log), pipeline.final().T_map_base)[0] < 0.12
 
 
-@pytest.mark.parametrize("covered", [0, 10])
-def test_a_covered_laser_is_bridged_by_odometry(covered: int) -> None:
+@pytest.mark.parametrize("k", [0, 10])
+def test_a_covered_laser_is_bridged_by_odometry(k: int) -> None:
     log = drive(15, with_person=False)
-    log.scans[covered].ranges[:] = np.nan
+    log.scans[k].ranges[:] = np.nan
     pipeline, steps = run(log, KissIcpConfig(use_odometry=True))
-    np.testing.assert_array_equal(steps[covered].T_map_base, steps[covered].T_map_base_predicted)
+    np.testing.assert_array_equal(steps[k].T_map_base, steps[k].T_map_base_predicted)
+    assert errors(truth_from_start(log), pipeline.final().T_map_base)[0] < 0.12
+
+
+def test_a_laser_covered_for_long_keeps_the_odometry_of_that_time() -> None:
+    log = covered(drive(30, with_person=False), *range(10, 18))  # 0.64 m
+    pipeline, steps = run(log, KissIcpConfig(use_odometry=True))
+    for before, step in pairwise(steps[9:18]):
+        increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)
+        np.testing.assert_allclose(se2.between(before.T_map_base, step.T_map_base), increment, atol=1e-12)
     assert errors(truth_from_start(log), pipeline.final().T_map_base)[0] < 0.12
 
 

@@ -12,7 +12,7 @@ from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.result_types import StepResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray
-from tests.rooms import LASER, ROOM, ListLog, cast, drive, errors, truth_from_start
+from tests.rooms import LASER, ROOM, ListLog, carried, cast, covered, drive, errors, truth_from_start
 
 GRAPH = PipelineConfig()
 DOCPFO = METHODS["docpfo"].config
@@ -291,14 +291,27 @@ def test_a_jump_of_the_odometry_is_survived() -> None:
 
 
 def test_after_failures_in_a_row_a_new_local_map_begins() -> None:
-    log = drive(40)
-    for k in range(20, 23):
-        log.scans[k].ranges[:] = np.inf
-    pipeline, steps = run(log, replace(GRAPH, n_lost=3))
-    assert [len(step.events) for step in steps[19:24]] == [0, 1, 1, 2, 1]
-    assert steps[22].events[1] == "lost: 3 matches failed in a row, a new local map begins here"
-    assert steps[22].node is not None
+    pipeline, steps = run(carried(drive(40), 25), replace(GRAPH, n_lost=3))
+    told = {step.scan.index: step.events for step in steps if step.events}
+    assert [len(events) for events in told.values()] == [1, 1, 2]
+    last = max(told)
+    assert min(told) == 25
+    assert told[last][1] == "lost: 3 matches failed in a row, a new local map begins here"
+    assert steps[last].node is not None
+    assert steps[last + 1].match is not None
+    assert steps[last + 1].match.status == "converged"
     assert np.isfinite(pipeline.final().T_map_base).all()
+    pipeline.close()
+
+
+def test_a_covered_laser_loses_nothing_however_long() -> None:
+    log = covered(drive(60), *range(30, 45))
+    pipeline, steps = run(log, replace(GRAPH, n_lost=3))
+    assert [step.scan.index for step in steps if step.events] == list(range(30, 45))
+    assert all(step.events == ("match failed: only 0 points found a partner",) for step in steps[30:45])
+    assert all(step.node is None for step in steps[30:45])
+    truth = truth_from_start(log)
+    assert max(errors(truth[45:], pipeline.final().T_map_base[45:])) < 0.03
     pipeline.close()
 
 

@@ -12,7 +12,7 @@ from slammot_graph.logs.log import SkippedScan
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.run import Run, make_pipeline
-from tests.rooms import LASER, ListLog, drive
+from tests.rooms import LASER, ListLog, carried, covered, drive
 
 
 def test_steps_come_one_by_one_and_the_result_at_the_end() -> None:
@@ -143,18 +143,14 @@ def test_scans_of_different_lasers_are_padded_with_beams_that_are_not_valid() ->
 
 
 def test_failures_and_events_are_counted() -> None:
-    log = drive(20)
-    for k in (8, 9):
-        log.scans[k].ranges[:] = np.inf
+    log = covered(carried(drive(20), 9), 9)
     result = Run(log, config=PipelineConfig(n_lost=2)).complete()
-    failed = "match failed: only 0 points found a partner"
-    assert result.events[:3] == (
-        (8, failed),
-        (9, failed),
-        (9, "lost: 2 matches failed in a row, a new local map begins here"),
-    )
-    assert result.n_failed_matches == sum(text.startswith("match failed") for _, text in result.events)
-    assert np.isnan(result.nis[[8, 9]]).all()
+    assert result.events[0] == (9, "match failed: only 0 points found a partner")
+    assert [scan for scan, _ in result.events] == [9, 10, 11, 11]
+    assert result.events[3][1] == "lost: 2 matches failed in a row, a new local map begins here"
+    assert result.n_failed_matches == 3
+    assert np.isnan(result.nis[9:12]).all()
+    assert np.isfinite(result.nis[12:]).all()
 
 
 def test_max_range_takes_the_place_of_the_configured_one() -> None:

@@ -54,7 +54,7 @@ class LoopClosureConfig:
 
     min_path_m: float = 8.0
     max_distance_m: float = 12.0
-    drift_scale: float = 3.0
+    drift_scale: float = 5.0
     sigma_scale: float = 3.0
     min_search_m: float = 0.5
     max_search_m: float = 8.0
@@ -219,7 +219,10 @@ class LoopCloser:
         all_points, _ = source.points_and_normals
         used = np.ones(len(all_points), dtype=np.bool_)
         weak_prior = np.diag([1.0, 1.0, 0.25])
-        match, _ = match_to_local_map(all_points, used, self._field, start, weak_prior, config.point_to_line)
+        from_anywhere = np.full(2, np.nan)
+        match, _ = match_to_local_map(
+            all_points, used, from_anywhere, self._field, start, weak_prior, config.point_to_line
+        )
         if match.status == "failed":
             return None, match.reason
         if (

@@ -66,6 +66,7 @@ class ScanToMap:
         self._cov_relative: FloatArray = FIRST_COV
         self._cov_anchor: FloatArray = FIRST_COV
         self._T_odom_base: FloatArray | None = None
+        self._laser_base: FloatArray = np.zeros(2)
         self._match: MatchResult | None = None
         # since the last node
         self._T_odom_node: FloatArray = se2.IDENTITY
@@ -91,6 +92,7 @@ class ScanToMap:
             self._cov_relative = se2.compound_covariance(self._cov_relative, increment, cov)
             self._cov_odometry = se2.compound_covariance(self._cov_odometry, increment, cov)
         self._T_odom_base = scan.T_odom_base
+        self._laser_base = scan.laser.origin_base
         return self._estimate()
 
     def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
@@ -98,7 +100,13 @@ class ScanToMap:
         self._match = None
         if self.local_map.keyframes:
             self._match, self._T_local_base = match_to_local_map(
-                points_base, is_static, self.local_map, self._T_local_base, self._cov_relative, self.matching
+                points_base,
+                is_static,
+                self._laser_base,
+                self.local_map,
+                self._T_local_base,
+                self._cov_relative,
+                self.matching,
             )
             self._cov_relative = fuse(self._cov_relative, self._match)
         return self._estimate(), self._match

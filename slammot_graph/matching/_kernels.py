@@ -18,13 +18,14 @@ POINT_WEIGHT = 0.2
 def estimate_normals(
     points: FloatArray,
     is_member: BoolArray,
+    laser: FloatArray,
     half_window: int,
     max_gap: float,
     max_gap_slope: float,
     max_thickness: float,
     out: FloatArray,
 ) -> None:
-    """Fill `out` (n, 2) with unit normals from neighbouring beams; (0, 0) where there is no line.
+    """Fill `out` (n, 2) with unit normals towards the laser, from neighbouring beams; (0, 0) where there is no line.
 
     The neighbours of a beam are up to `half_window` member beams on either side, as long as each is within
     `max_gap` [m] + `max_gap_slope` times the range of the one before; the points must lie within `max_thickness` [m] of their line.
@@ -60,6 +61,7 @@ def estimate_normals(
         count = hi - lo + 1
         if count < 3:
             _grazed_normal(points, is_member, k, max_thickness, out)
+            _turn_to(laser, points, k, out)
             continue
         mx = sx / count
         my = sy / count
@@ -81,6 +83,15 @@ def estimate_normals(
         angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
         out[k, 0] = -math.sin(angle)
         out[k, 1] = math.cos(angle)
+        _turn_to(laser, points, k, out)
+
+
+@kernel
+def _turn_to(laser: FloatArray, points: FloatArray, k: int, out: FloatArray) -> None:
+    """Let normal `k` look towards the laser."""
+    if out[k, 0] * (laser[0] - points[k, 0]) + out[k, 1] * (laser[1] - points[k, 1]) < 0.0:
+        out[k, 0] = -out[k, 0]
+        out[k, 1] = -out[k, 1]
 
 
 @kernel
@@ -149,7 +160,7 @@ def insert_points(
             dy = map_points[old % capacity, 1] - y
             ox = map_normals[old % capacity, 0]
             oy = map_normals[old % capacity, 1]
-            alike = abs(ox * new_normals[k, 0] + oy * new_normals[k, 1]) > 0.7
+            alike = ox * new_normals[k, 0] + oy * new_normals[k, 1] > 0.7
             has_no_line = new_normals[k, 0] == 0.0 and new_normals[k, 1] == 0.0
             if dx * dx + dy * dy < min_spacing * min_spacing and (alike or has_no_line):
                 continue
@@ -212,6 +223,7 @@ def accumulate(
     first: int,
     points: FloatArray,
     is_used: BoolArray,
+    laser: FloatArray,
     T: FloatArray,
     reach2: float,
     kernel_scale2: float,
@@ -221,6 +233,7 @@ def accumulate(
 ) -> None:
     """Normal equations of the point-to-line match at pose T (right perturbation, body frame).
 
+    A line that shows `laser` (2,), given in the base frame, its back makes no pair: it is the wall's other side.
     Row of a pair: ``n' R [I | (-py, px)']``, weighted by Geman-McClure ``(s^2 / (s^2 + r^2))^2``; where the map's
     point has no normal, both axes of the offset count, with less weight. `stats` gets
     the number of points used, of pairs, the sum of weights, the weighted sum of squared residuals.
@@ -229,6 +242,8 @@ def accumulate(
     capacity = map_points.shape[0]
     c = math.cos(T[2])
     s = math.sin(T[2])
+    laser_x = T[0] + c * laser[0] - s * laser[1]
+    laser_y = T[1] + s * laser[0] + c * laser[1]
     h00 = h01 = h02 = h11 = h12 = h22 = 0.0
     g0 = g1 = g2 = 0.0
     n_used = n_pairs = 0
@@ -269,6 +284,8 @@ def accumulate(
             g0 += w * ex
             g1 += w * ey
             g2 += w * (px * ey - py * ex)
+            continue
+        if nx * (laser_x - map_points[m, 0]) + ny * (laser_y - map_points[m, 1]) < 0.0:
             continue
         r = nx * dx + ny * dy
         w = kernel_scale2 / (kernel_scale2 + r * r)
@@ -312,6 +329,7 @@ def match_point_to_line(
     first: int,
     points: FloatArray,
     is_used: BoolArray,
+    laser: FloatArray,
     T_start: FloatArray,
     T_prior: FloatArray,
     prior_information: FloatArray,
@@ -342,7 +360,20 @@ def match_point_to_line(
     iterations = 0
     for _ in range(max_iterations):
         accumulate(
-            map_points, map_normals, nearest, inv_cell, first, points, is_used, T, reach2, scale2, h, g, stats
+            map_points,
+            map_normals,
+            nearest,
+            inv_cell,
+            first,
+            points,
+            is_used,
+            laser,
+            T,
+            reach2,
+            scale2,
+            h,
+            g,
+            stats,
         )
         iterations += 1
         # offset from the prior, in the body frame of T
@@ -368,7 +399,20 @@ def match_point_to_line(
         if abs(step[0]) + abs(step[1]) < min_step_m and abs(step[2]) < min_step_rad:
             break
     accumulate(
-        map_points, map_normals, nearest, inv_cell, first, points, is_used, T, reach2, scale2, h, g, stats
+        map_points,
+        map_normals,
+        nearest,
+        inv_cell,
+        first,
+        points,
+        is_used,
+        laser,
+        T,
+        reach2,
+        scale2,
+        h,
+        g,
+        stats,
     )
     return iterations
 

@@ -79,7 +79,7 @@ class Keyframe:
     T_local_base : (3,) array
         Where the local matching placed it.
     points_base, normals_base : (m, 2) arrays
-        Static points and their normals, base frame; a normal of (0, 0) for a point that is on no line.
+        Static points and their normals towards the laser, base frame; a normal of (0, 0) for a point that is on no line.
     laser_base : (2,) array
         Where the laser was, base frame.
     """
@@ -105,6 +105,7 @@ def make_keyframe(
     _kernels.estimate_normals(
         points_base,
         is_static,
+        laser.origin_base,
         max(3, round(config.normal_half_window_rad / step_rad)),
         config.normal_max_gap_m,
         3.0 * step_rad,

@@ -84,6 +84,7 @@ class _Solution:
 def match_to_local_map(
     points_base: FloatArray,
     is_static: BoolArray,
+    laser_base: FloatArray,
     local_map: LocalMap,
     T_local_base: FloatArray,
     cov_predicted: FloatArray,
@@ -96,6 +97,8 @@ def match_to_local_map(
     points_base : (n, 2) array [m]
     is_static : (n,) bool array
         Points to use.
+    laser_base : (2,) array
+        Where they were seen from, base frame [m]: a wall's other side is no partner. NaN: from anywhere.
     local_map : LocalMap
     T_local_base : (3,) array
         Predicted base in the local frame: the start, and the mean of the prior.
@@ -110,10 +113,10 @@ def match_to_local_map(
         The estimate with the prior, base in the local frame; the prediction itself if the match failed.
     """
     prior = invert(cov_predicted)
-    best = _solve(points_base, is_static, local_map, T_local_base, T_local_base, prior, config)
+    best = _solve(points_base, is_static, laser_base, local_map, T_local_base, T_local_base, prior, config)
     if best.inlier_ratio < config.min_inlier_ratio or best.stats[1] < config.min_pairs:
         for start in _starts_around(T_local_base, config):
-            other = _solve(points_base, is_static, local_map, start, T_local_base, prior, config)
+            other = _solve(points_base, is_static, laser_base, local_map, start, T_local_base, prior, config)
             if other.stats[2] > best.stats[2]:
                 best = other
     return _judge(best, local_map, T_local_base, points_base, is_static, config)
@@ -122,6 +125,7 @@ def match_to_local_map(
 def _solve(
     points_base: FloatArray,
     is_static: BoolArray,
+    laser_base: FloatArray,
     local_map: LocalMap,
     T_start: FloatArray,
     T_prior: FloatArray,
@@ -137,6 +141,7 @@ def _solve(
         local_map.first,
         points_base,
         is_static,
+        laser_base,
         T_start,
         T_prior,
         prior,

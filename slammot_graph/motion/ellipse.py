@@ -32,6 +32,8 @@ class MotionConfig:
     stand_back_share : float
         If more than this share of the valid beams seems to move, none is called moving: a wrong pose looks
         just like that, and removing everything would lock the error in.
+    stand_back_nis : float
+        None is called moving either after a match whose normalised innovation squared is above this.
     """
 
     range_std_m: float = 0.01
@@ -41,6 +43,7 @@ class MotionConfig:
     margin_cells: int = 1
     track_reach_m: float = 0.4
     stand_back_share: float = 0.75
+    stand_back_nis: float = 50.0
 
     def __post_init__(self) -> None:
         if not (self.range_std_m > 0.0 and self.angle_std_rad > 0.0):
@@ -53,6 +56,8 @@ class MotionConfig:
             raise ConfigError(f"motion.margin_cells must not be negative, not {self.margin_cells}")
         if not self.track_reach_m >= 0.0:
             raise ConfigError(f"motion.track_reach_m must not be negative, not {self.track_reach_m}")
+        if not self.stand_back_nis > 0.0:
+            raise ConfigError(f"motion.stand_back_nis must be positive, not {self.stand_back_nis}")
         if not 0.0 < self.stand_back_share <= 1.0:
             raise ConfigError(f"motion.stand_back_share must be in (0, 1], not {self.stand_back_share}")
 

@@ -9,6 +9,7 @@ def match_of(information: FloatArray) -> MatchResult:
     return MatchResult(
         status="converged",
         T_ref_base=np.zeros(3),
+        innovation=np.zeros(3),
         cov=np.eye(3),
         information=information,
         n_iterations=1,

@@ -11,7 +11,7 @@ from slammot_graph.localization import Estimate, ScanToMap
 from slammot_graph.matching import LocalMapConfig, PointToLineConfig
 from slammot_graph.result_types import MatchResult
 from slammot_graph.scan import Scan
-from tests.rooms import CORRIDOR, ListLog, drive, errors, truth_from_start
+from tests.rooms import CORRIDOR, carried, covered, drive, errors, truth_from_start
 
 N_LOST = 3
 
@@ -39,12 +39,6 @@ def step(
     matched, match = localizer.match(points, is_valid)
     node, events = localizer.commit(scan, points, is_valid)
     return predicted, matched, match, node, events
-
-
-def covered(log: ListLog, *indices: int) -> ListLog:
-    for k in indices:
-        log.scans[k].ranges[:] = np.inf
-    return log
 
 
 def test_room_is_followed_with_nodes_at_keyframes(localizer: ScanToMap) -> None:
@@ -133,22 +127,56 @@ def test_a_covered_scan_is_predicted_and_the_next_matched(localizer: ScanToMap) 
     assert max(errors(truth_from_start(log), localizer.final().T_map_base)) < 0.03
 
 
-def test_failures_in_a_row_start_a_new_local_map(localizer: ScanToMap) -> None:
-    log, events = covered(drive(30, with_person=False), 8, 9, 10, 11), {}
+def test_a_covered_laser_keeps_its_local_map(localizer: ScanToMap) -> None:
+    log = covered(drive(30, with_person=False), *range(8, 8 + 4 * N_LOST))
     for k, scan in enumerate(log):
-        _, _, _, _, told = step(localizer, scan)
+        before = localizer.local_map.anchor.node if k else 0
+        _, _, match, node, events = step(localizer, scan)
+        if 8 <= k < 8 + 4 * N_LOST:
+            assert events == ["match failed: only 0 points found a partner"]
+            assert node is None
+            assert localizer.local_map.anchor.node == before
+        elif k:
+            assert match is not None
+            assert match.status == "converged"
+            assert events == []
+    truth, found = truth_from_start(log), localizer.final().T_map_base
+    assert max(errors(truth[8:20], found[8:20])) < 0.1  # on the odometry alone
+    assert max(errors(truth[20:], found[20:])) < 0.02
+
+
+def test_failures_in_a_row_start_a_new_local_map(localizer: ScanToMap) -> None:
+    log, events = carried(drive(40, with_person=False), 5), {}
+    for k, scan in enumerate(log):
+        _, _, match, node, told = step(localizer, scan)
         if told:
             events[k] = told
-        if k == 10:
+        if k == 7:
             assert [key.node for key in localizer.local_map.keyframes] == [len(localizer.graph) - 1]
-    failed = "match failed: only 0 points found a partner"
-    lost = f"lost: {N_LOST} matches failed in a row, a new local map begins here"
-    assert events[8] == events[9] == [failed]
-    assert events[10] == [failed, lost]
-    final = localizer.final()
-    assert len(final.T_map_base) == 30
-    assert np.isfinite(final.T_map_base).all()
-    assert errors(truth_from_start(log), final.T_map_base)[0] < 0.3
+            assert node == len(localizer.graph) - 1
+        elif k > 7:
+            assert match is not None
+            assert match.status == "converged"
+    assert sorted(events) == [5, 6, 7]
+    assert events[5][0].startswith("match failed: only ")
+    assert [len(told) for told in events.values()] == [1, 1, 2]
+    assert events[7][1] == f"lost: {N_LOST} matches failed in a row, a new local map begins here"
+    final, truth = localizer.final(), truth_from_start(log)
+    # whole in itself after the loss, and the way between is the odometry's
+    after = se2.between(final.T_map_base[7], final.T_map_base[7:])
+    assert max(errors(se2.between(truth[7], truth[7:]), after)) < 0.02
+    assert errors(truth, final.T_map_base)[0] < 0.1
+    # the map of the hall may lie anywhere: that is what the covariance says
+    std = np.sqrt(np.diagonal(final.cov_map, axis1=1, axis2=2))
+    assert (std[7:, :2] > 2.5).all()
+    assert (std[:5] < 0.05).all()
+
+
+def test_a_covered_scan_does_not_count_between_failures(localizer: ScanToMap) -> None:
+    log, lost = covered(carried(drive(20, with_person=False), 5), 6), []
+    for k, scan in enumerate(log):
+        lost += [k for text in step(localizer, scan)[4] if text.startswith("lost")]
+    assert lost == [8]
 
 
 def test_nothing_yet_is_an_empty_trajectory(localizer: ScanToMap) -> None:

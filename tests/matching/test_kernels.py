@@ -21,6 +21,17 @@ def unit(angle: FloatArray) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
+def plain_grazed_normal(points: FloatArray, is_member: BoolArray, k: int, thickness: float) -> FloatArray:
+    """The normal of the chord from beam k - 1 to k + 1, where k lies between the two and near it."""
+    if not (0 < k < len(points) - 1 and is_member[[k - 1, k + 1]].all()):
+        return np.zeros(2)
+    before, after, chord = points[k] - points[k - 1], points[k + 1] - points[k], points[k + 1] - points[k - 1]
+    short, long = sorted(np.linalg.norm([before, after], axis=1))
+    normal = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+    is_between = before @ after > 0.0 and long <= 4.0 * short
+    return normal if is_between and abs(before @ normal) <= 2.0 * thickness else np.zeros(2)
+
+
 def plain_normal(
     points: FloatArray, is_member: BoolArray, k: int, half: int, gap: float, slope: float, thickness: float
 ) -> FloatArray:
@@ -32,8 +43,10 @@ def plain_normal(
             if not inside or np.linalg.norm(points[m] - points[m - side]) > reach:
                 break
             near.append(m)
-    if not is_member[k] or len(near) < 3:
+    if not is_member[k]:
         return np.zeros(2)
+    if len(near) < 3:
+        return plain_grazed_normal(points, is_member, k, thickness)
     offsets = points[near] - points[near].mean(axis=0)
     _, sizes, axes = np.linalg.svd(offsets)
     return axes[1] if sizes[1] <= thickness * np.sqrt(len(near)) else np.zeros(2)

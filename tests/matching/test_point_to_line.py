@@ -142,7 +142,7 @@ def test_a_corridor_is_degenerate_along_itself() -> None:
 
 
 def test_directions_below_the_weak_ratio_carry_no_information() -> None:
-    result, _ = match(take_scan(A), map_from(A, ORIGIN), ORIGIN, weak_ratio=0.4)
+    result, _ = match(take_scan(A), map_from(A, ORIGIN), ORIGIN, weak_ratio=0.29)
     n_weak = int(result.reason[0])
     assert 1 <= n_weak <= 2
     values = np.linalg.eigvalsh(result.information)
@@ -205,6 +205,7 @@ def test_negative_limits_are_refused(name: str) -> None:
         ({"max_iterations": 0}, "point_to_line needs max_iterations >= 1 and min_pairs >= 3"),
         ({"min_pairs": 2}, "point_to_line needs max_iterations >= 1 and min_pairs >= 3"),
         ({"min_inlier_ratio": 1.0}, r"point_to_line.min_inlier_ratio must be in \[0, 1\), not 1.0"),
+        ({"weak_ratio": 0.3}, "point_to_line.weak_ratio must be below 0.3, not 0.3"),
         ({"min_inlier_ratio": -0.1}, r"point_to_line.min_inlier_ratio must be in \[0, 1\), not -0.1"),
     ],
 )

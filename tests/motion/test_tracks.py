@@ -121,6 +121,23 @@ def test_a_backward_stamp_counts_as_no_time() -> None:
     assert np.linalg.eigvalsh(tracks[0].cov)[0] > 0.0
 
 
+@pytest.mark.parametrize("back_s", [0.5, 2.0, 1e6])
+def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
+    tracker = Tracker(TrackConfig(max_missed_s=1.0))
+    for k in range(20):
+        tracks = update(tracker, 2e6 + 0.1 * k, at(0.1 * k))
+    assert [track.track_id for track in tracks] == [0]
+    start = 2e6 + 2.0 - back_s
+    for k in range(18):
+        update(tracker, start + 0.1 * k)
+    assert tracker.tracks == []
+    # and a new one is followed at its speed
+    for k in range(18, 40):
+        tracks = update(tracker, start + 0.1 * k, at(0.1 * k))
+    assert [track.track_id for track in tracks] == [1]
+    np.testing.assert_allclose(tracks[0].state[2:], [1.0, 0.5], atol=0.05)
+
+
 def test_nothing_seen_nothing_tracked() -> None:
     tracker = Tracker(TrackConfig())
     assert update(tracker, 0.0) == []
