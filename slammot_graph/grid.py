@@ -37,7 +37,7 @@ class GridConfig:
     resolution_m: float = 0.05
     p_hit: float = 0.7
     p_pass: float = 0.4
-    p_soft_hit: float = 0.5125
+    p_soft_hit: float = 0.505
     fill_gaps: bool = True
     p_min: float = 0.03
     p_max: float = 0.97

@@ -7,12 +7,15 @@ import pytest
 from slammot_graph import se2
 from slammot_graph.baselines import KissIcpPipeline
 from slammot_graph.config import to_plain
-from slammot_graph.errors import InputError
+from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.graph import PoseGraph
 from slammot_graph.logs.log import SkippedScan
+from slammot_graph.matching import PointToLineConfig
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.run import Run, make_pipeline
-from tests.rooms import LASER, ListLog, carried, covered, drive
+from slammot_graph.types import FloatArray
+from tests.rooms import LASER, ListLog, carried, covered, drive, errors, truth_from_start
 
 
 def test_steps_come_one_by_one_and_the_result_at_the_end() -> None:
@@ -107,6 +110,35 @@ def test_an_error_on_the_way_leaves_a_partial_result() -> None:
     with pytest.raises(StopError):
         fail()
     assert len(run.result().stamps) == 6
+
+
+def test_a_graph_that_fails_tells_its_first_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail_later(graph: PoseGraph) -> None:
+        if len(graph) == 3:
+            raise SlammotError("the first error")
+        update(graph)
+
+    def fail_too(graph: PoseGraph) -> FloatArray:
+        raise SlammotError(f"the second error, of {len(graph)} nodes")
+
+    update = PoseGraph.update
+    monkeypatch.setattr(PoseGraph, "update", fail_later)
+    monkeypatch.setattr(PoseGraph, "poses", fail_too)
+    with pytest.raises(SlammotError, match="the first error"):
+        Run(drive(20)).complete()
+
+
+def test_a_match_that_determines_nothing_is_a_failure_not_an_error(rng: np.random.Generator) -> None:
+    log = drive(20)
+    for scan in log.scans[1:]:
+        bad = rng.random(LASER.n_beams) < 0.6
+        scan.ranges[bad] += rng.uniform(0.1, 0.35, bad.sum())
+    config = PipelineConfig(filter_moving=False, n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
+    result = Run(log, config=config).complete()
+    assert any(text == "match failed: no direction is determined" for _, text in result.events)
+    assert len(result.nodes) > 2
+    assert np.isfinite(result.T_map_base).all()
+    assert errors(truth_from_start(log), result.T_map_base)[0] < 0.2
 
 
 def test_a_run_may_be_run_again() -> None:

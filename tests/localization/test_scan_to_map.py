@@ -110,6 +110,29 @@ def test_along_a_corridor_the_odometry_decides(localizer: ScanToMap) -> None:
     assert max(errors(truth_from_start(log), final.T_map_base)) < 3 * stds[-1]
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_long_bare_corridor_at_full_range_keeps_to_the_odometry(localizer: ScanToMap, seed: int) -> None:
+    log = drive(200, seed=seed, walls=CORRIDOR, is_straight=True, with_person=False)
+    truth, along = truth_from_start(log), 0.0
+    for k, scan in enumerate(log):
+        heading = localizer._T_local_base[2]
+        predicted, matched, match, _, events = step(localizer, scan)
+        assert events == []
+        if match is None:
+            continue
+        assert match.status == "degenerate"
+        moved = se2.between(log.scans[k - 1].T_odom_base, scan.T_odom_base)[:2]
+        along += (se2.rotation(heading) @ moved)[0]
+        x, y, theta = matched.T_local_base
+        assert x == pytest.approx(along, abs=0.03 + 0.02 * along)
+        assert max(abs(y), abs(theta)) < 0.02
+        # it claims no more than the odometry knows along the corridor, and honestly
+        assert matched.cov_relative[0, 0] > 0.9 * predicted.cov_relative[0, 0]
+        assert abs(x - truth[k, 0]) < 3.0 * np.sqrt(matched.cov_absolute[0, 0]) + 0.01
+    assert along > 15.0
+    assert np.sqrt(localizer.final().cov_map[-1, 0, 0]) > 0.1
+
+
 def test_a_covered_scan_is_predicted_and_the_next_matched(localizer: ScanToMap) -> None:
     log = covered(drive(20, with_person=False), 10)
     for k, scan in enumerate(log):

@@ -61,19 +61,55 @@ def test_normals_are_those_of_a_singular_value_decomposition(seed: int) -> None:
     i = along[:, 0].astype(int)
     points = corners[i] + (along - i[:, None]) * (corners[i + 1] - corners[i]) + rng.normal(0, 0.02, (40, 2))
     is_member = rng.random(40) < 0.9
-    out = np.empty((40, 2))
-    _kernels.estimate_normals(points, is_member, 3, 0.15, 0.02, 0.03, out)
+    laser, out = rng.uniform(-2.0, 2.0, 2), np.empty((40, 2))
+    _kernels.estimate_normals(points, is_member, laser, 3, 0.15, 0.02, 0.03, out)
     expected = np.array([plain_normal(points, is_member, k, 3, 0.15, 0.02, 0.03) for k in range(40)])
     np.testing.assert_array_equal(out.any(axis=1), expected.any(axis=1))
     has_normal = out.any(axis=1)
     np.testing.assert_allclose(np.abs(np.sum(out * expected, axis=1))[has_normal], 1.0, atol=1e-9)
+    assert (np.sum(out * (laser - points), axis=1) >= 0.0).all()
 
 
 def test_normals_of_a_wall_with_a_gap_and_of_a_lone_point() -> None:
     points = np.array([[x, 2.0] for x in (0.0, 0.1, 0.2, 1.0, 1.1, 1.2, 5.0)])
     out = np.empty_like(points)
-    _kernels.estimate_normals(points, np.ones(7, dtype=bool), 3, 0.2, 0.0, 0.01, out)
-    np.testing.assert_allclose(np.abs(out), [[0.0, 1.0]] * 6 + [[0.0, 0.0]], atol=1e-12)
+    for side in (-1.0, 1.0):
+        laser = np.array([0.3, 2.0 + side])
+        _kernels.estimate_normals(points, np.ones(7, dtype=bool), laser, 3, 0.2, 0.0, 0.01, out)
+        np.testing.assert_allclose(out, [[0.0, side]] * 6 + [[0.0, 0.0]], atol=1e-12)
+
+
+def test_points_on_a_grazed_wall_have_its_normal() -> None:
+    angles = np.deg2rad(np.arange(80.0, 88.5, 1.0))  # 1 m to the right wall, 5.7 to 28.6 m ahead
+    points = np.column_stack([1.0 / np.tan(np.pi / 2 - angles), np.full(len(angles), 1.0)])
+    out = np.empty_like(points)
+    _kernels.estimate_normals(points, np.ones(9, dtype=bool), np.zeros(2), 3, 0.2, 0.0, 0.02, out)
+    assert (np.diff(points[:, 0]) > 0.5).all()  # each alone within the gap
+    np.testing.assert_allclose(out[1:-1], [[0.0, -1.0]] * 7, atol=1e-12)
+    np.testing.assert_array_equal(out[[0, -1]], 0.0)  # there is but one neighbour
+
+
+@pytest.mark.parametrize(
+    ("middle", "has_normal"),
+    [
+        ([1.0, 0.0], True),
+        ([0.45, 0.0], True),  # a step of four times the other
+        ([0.38, 0.0], False),
+        ([1.0, 0.079], True),  # twice the thickness off the line
+        ([1.0, 0.081], False),
+        ([-0.2, 0.0], False),  # not between the two
+        ([2.2, 0.0], False),
+    ],
+)
+def test_a_lone_point_has_a_normal_only_if_it_lies_between_its_neighbours(
+    middle: list[float], has_normal: bool
+) -> None:
+    points, out = np.array([[0.0, 0.0], middle, [2.0, 0.0]]), np.empty((3, 2))
+    for is_member in ([True, True, True], [True, True, False], [False, True, True]):
+        mask = np.array(is_member)
+        _kernels.estimate_normals(points, mask, np.array([1.0, -3.0]), 3, 0.1, 0.0, 0.04, out)
+        expected = [0.0, -1.0] if has_normal and mask.all() else [0.0, 0.0]
+        np.testing.assert_allclose(out, [[0.0, 0.0], expected, [0.0, 0.0]], atol=1e-12)
 
 
 @dataclass
@@ -160,12 +196,20 @@ def test_a_like_point_close_by_is_left_out_and_a_corner_is_kept() -> None:
     near = np.array([0.01, 0.0])
     field.insert(at, up)
     field.insert(at + near, up)
-    field.insert(at + near, -up)
+    field.insert(at + near, 0.0 * up)
     assert field.end == 1
     field.insert(at + near, left)
     assert field.end == 2
     field.insert(at + 3.1 * near, up)
     assert field.end == 3
+
+
+def test_the_other_side_of_a_thin_wall_is_a_point_of_its_own() -> None:
+    field = Field()
+    at, up = np.array([[0.03, 0.03]]), np.array([[0.0, 1.0]])
+    field.insert(at, up)
+    field.insert(at - [0.0, 0.01], -up)
+    assert field.end == 2
 
 
 def test_points_that_are_not_new_are_not_taken() -> None:
@@ -225,12 +269,12 @@ def test_solve3_refuses_what_is_not_definite(diagonal: list[float]) -> None:
 
 
 def accumulated(
-    field: Field, points: FloatArray, T: FloatArray, scale: float = 0.1
+    field: Field, points: FloatArray, laser: FloatArray, T: FloatArray, scale: float = 0.1
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     h, g, stats = np.empty((3, 3)), np.empty(3), np.empty(4)
     is_used = np.isfinite(points[:, 0])
     _kernels.accumulate(
-        field.points, field.normals, field.nearest, 1.0 / CELL, field.first, points, is_used, T,
+        field.points, field.normals, field.nearest, 1.0 / CELL, field.first, points, is_used, laser, T,
         0.4**2, scale**2, h, g, stats,
     )  # fmt: skip
     return h, g, stats
@@ -241,15 +285,18 @@ def test_normal_equations_equal_numeric_derivatives(rng: np.random.Generator, ha
     field = Field()
     normals = unit(rng.uniform(0, np.pi, 25)) * has_lines
     field.insert(rng.uniform(-1.5, 1.5, (25, 2)), normals)
-    T, scale = np.array([0.2, -0.1, 2.2]), 0.1
+    T, scale, laser = np.array([0.2, -0.1, 2.2]), 0.1, np.array([0.5, 0.3])
     points = se2.transform(se2.inverse(T), rng.uniform(-1.5, 1.5, (40, 2)))
     points[3] = np.nan
-    h, g, stats = accumulated(field, points, T, scale)
+    h, g, stats = accumulated(field, points, laser, T, scale)
 
     at_T = se2.transform(T, points)
     number = np.where(np.isfinite(at_T[:, 0]), field.lookup(np.nan_to_num(at_T)), -1)
     is_pair = number >= 0
     is_pair[is_pair] = np.linalg.norm(field.points[number] - at_T, axis=1)[is_pair] <= 0.4
+    to_laser = se2.transform(T, laser[None]) - field.points[number]
+    is_pair &= np.sum(to_laser * field.normals[number], axis=1) >= 0.0  # it sees the face, not the back
+    assert is_pair.sum() < 0.8 * (number >= 0).sum() or not has_lines
     partner = number[is_pair]
 
     def residuals(v: FloatArray) -> FloatArray:
@@ -274,7 +321,7 @@ def test_normal_equations_equal_numeric_derivatives(rng: np.random.Generator, ha
 
 
 def test_no_partners_give_empty_normal_equations() -> None:
-    h, g, stats = accumulated(Field(), np.ones((4, 2)), np.zeros(3))
+    h, g, stats = accumulated(Field(), np.ones((4, 2)), np.zeros(2), np.zeros(3))
     assert not h.any() and not g.any()
     assert stats.tolist() == [4.0, 0.0, 0.0, 0.0]
 

@@ -46,6 +46,7 @@ def match(
     return match_to_local_map(
         scan.points_base(),
         scan.is_valid(max_range),
+        LASER.origin_base,
         local_map,
         start,
         cov,
@@ -176,6 +177,36 @@ def test_points_that_disagree_fail(rng: np.random.Generator) -> None:
     scan.ranges[:] = rng.uniform(0.5, 5.0, LASER.n_beams)
     result, T = match(scan, map_from(A, ORIGIN), ORIGIN, min_inlier_ratio=0.9)
     assert_failed(result, T, ORIGIN, "of the points agree with the local map")
+
+
+def test_a_match_that_determines_nothing_fails(rng: np.random.Generator) -> None:
+    scan = take_scan(A)
+    bad = rng.random(LASER.n_beams) < 0.75
+    scan.ranges[bad] += rng.uniform(0.1, 0.35, bad.sum())  # near enough to pair, too far to weigh much
+    result, T = match(scan, map_from(A, ORIGIN), ORIGIN, weak_ratio=0.29)
+    assert result.n_correspondences > 100
+    assert_failed(result, T, ORIGIN, "no direction is determined")
+    np.testing.assert_array_equal(result.innovation, np.zeros(3))
+
+
+def test_a_wall_seen_from_its_other_side_is_no_partner() -> None:
+    scan, local_map = take_scan(A), map_from(A, ORIGIN)
+    points, used, config = scan.points_base(), scan.is_valid(), PointToLineConfig()
+    inside, anywhere, outside = (
+        match_to_local_map(points, used, np.array(laser), local_map, ORIGIN, LOOSE, config)[0]
+        for laser in ([0.1, 0.0], [np.nan, np.nan], [0.0, 50.0])
+    )
+    assert inside.n_correspondences == anywhere.n_correspondences == LASER.n_beams
+    np.testing.assert_array_equal(inside.T_ref_base, anywhere.T_ref_base)
+    assert outside.n_correspondences < 0.8 * LASER.n_beams
+
+
+def test_the_innovation_leads_from_the_prediction_to_the_match() -> None:
+    predicted = np.array([0.05, 0.02, -0.03])
+    result, _ = match(take_scan(se2.compose(A, MOVED)), map_from(A, ORIGIN), predicted)
+    found = se2.compose(predicted, se2.exp(result.innovation))
+    np.testing.assert_allclose(found, result.T_ref_base, atol=1e-12)
+    assert np.abs(result.innovation).min() > 0.05
 
 
 def test_too_few_points_fail() -> None:
