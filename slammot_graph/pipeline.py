@@ -35,6 +35,9 @@ from slammot_graph.scan import Scan
 from slammot_graph.stopwatch import Stopwatch
 from slammot_graph.types import BoolArray, FloatArray
 
+MIN_NO_RETURN_RUN = 25
+"""Neighbouring beams without a return that are taken for open space."""
+
 Matcher = Literal["none", "scan-to-scan", "scan-to-map"]
 TestCovariance = Literal["constant", "relative", "absolute"]
 
@@ -57,6 +60,8 @@ class PipelineConfig:
         Moving points occupy cells too (the paper's map takes ALL points).
     max_range_m : float
         Farther returns are left aside.
+    free_no_return_m : float
+        A beam without a return frees the cells up to this distance in the test's map; 0: none.
     n_window_keyframes : int
         The test's map forgets cells that no scan touched since this many keyframes ("scan-to-map" only).
     n_lost : int
@@ -81,6 +86,7 @@ class PipelineConfig:
     judge_again: bool = True
     occupy_with_moving: bool = False
     max_range_m: float = 40.0
+    free_no_return_m: float = 5.0
     n_window_keyframes: int = 60
     n_lost: int = 5
     constant_noise: ConstantNoise = field(default_factory=ConstantNoise)
@@ -103,6 +109,8 @@ class PipelineConfig:
                 raise ConfigError(f'{name} must be one of {get_args(kind)}, not "{getattr(self, name)}"')
         if not self.max_range_m > 0.0:
             raise ConfigError(f"max_range_m must be positive, not {self.max_range_m}")
+        if not self.free_no_return_m >= 0.0:
+            raise ConfigError(f"free_no_return_m must not be negative, not {self.free_no_return_m}")
         if self.n_window_keyframes < 1 or self.n_lost < 1:
             raise ConfigError("n_window_keyframes and n_lost must be at least 1")
         if self.matcher != "scan-to-map" and self.filter_moving and self.test_covariance != "constant":
@@ -201,11 +209,10 @@ class Pipeline:
         for number, (view, T_map_base) in enumerate(
             zip(self._node_views, self.localizer.final().nodes, strict=True)
         ):
-            ends = se2.transform(
-                T_map_base, np.vstack([view.scan.laser.origin_base, view.scan.points_base()])
-            )
+            ends, is_beam = _beams(view.scan, view.scan.points_base(), view.is_valid, 0.0)
+            ends = se2.transform(T_map_base, ends)
             is_hit = view.is_valid if self.config.occupy_with_moving else view.is_static
-            grid.update(number, ends[0], ends[1:], view.is_valid, is_hit)
+            grid.update(number, ends[0], ends[1:], is_beam, is_hit, view.is_valid & ~is_hit)
         return grid.to_map()
 
     def close(self) -> None:
@@ -247,10 +254,10 @@ class Pipeline:
         if node is not None:
             self._node_views.append(_View(scan=scan, is_valid=is_valid, is_static=is_static))
             self.grid.oldest = self._node_views[-self.config.n_window_keyframes :][0].scan.index
-        ends = np.vstack([scan.laser.origin_base, points_base])
+        ends, is_beam = _beams(scan, points_base, is_valid, self.config.free_no_return_m)
         ends = se2.transform(matched.T_local_base, ends)
         is_hit = is_valid if self.config.occupy_with_moving else is_static
-        self.grid.update(scan.index, ends[0], ends[1:], is_valid, is_hit)
+        self.grid.update(scan.index, ends[0], ends[1:], is_beam, is_hit, is_valid & ~is_hit)
 
     def _track(self, scan: Scan, detection: Detection, matched: Estimate) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
@@ -288,6 +295,23 @@ def _make_localizer(config: PipelineConfig) -> Localizer:
         config.n_lost,
         config.closure if config.close_loops else None,
     )
+
+
+def _beams(
+    scan: Scan, points_base: FloatArray, is_valid: BoolArray, free_no_return_m: float
+) -> tuple[FloatArray, BoolArray]:
+    """Laser and beam ends (1 + n, 2) in the base frame, and which beams (n,) free the cells they cross.
+
+    A beam without a return ends `free_no_return_m` away; with 0 it tells nothing.
+    """
+    is_beam = is_valid
+    if free_no_return_m > 0.0:
+        is_missing = scan.is_no_return(MIN_NO_RETURN_RUN)
+        reach_m = min(free_no_return_m, scan.laser.range_max)
+        far = scan.laser.origin_base + reach_m * scan.laser.directions_base
+        points_base = np.where(is_missing[:, None], far, points_base)
+        is_beam = is_valid | is_missing
+    return np.vstack([scan.laser.origin_base, points_base]), is_beam
 
 
 def _innovation_nis(predicted: Estimate, match: MatchResult | None) -> float:

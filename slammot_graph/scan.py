@@ -115,6 +115,19 @@ class Scan:
         with np.errstate(invalid="ignore"):
             return (self.ranges > max(self.laser.range_min, 1e-3)) & (self.ranges < limit)
 
+    def is_no_return(self, min_run: int = 1) -> BoolArray:
+        """(n_beams,) mask of beams that met nothing in reach, at the laser's maximum or infinite.
+
+        Only runs of at least `min_run` neighbours count: single ones are more often dark or shiny surfaces.
+        """
+        missing = np.asarray(self.ranges >= NO_RETURN_FRACTION * self.laser.range_max)
+        if min_run > 1 and missing.any():
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
+            for first, end in edges.reshape(-1, 2):
+                if end - first < min_run:
+                    missing[first:end] = False
+        return missing
+
     def points_base(self) -> FloatArray:
         """(n_beams, 2) end points in the base frame [m]: origin + r (cos, sin) (eq. 7); NaN for infinite r."""
         ranges = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
