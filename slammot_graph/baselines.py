@@ -124,6 +124,9 @@ class KissIcpPipeline:
             stage_ms={"step": register_ms},
         )
 
+    def final_labels(self, T_map_base: FloatArray) -> None:
+        """See `Pipeline.final_labels`; there are none."""
+
     def final(self) -> FinalEstimate:
         """See `Pipeline.final`."""
         return FinalEstimate(

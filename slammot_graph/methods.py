@@ -25,6 +25,7 @@ _ICP = PipelineConfig(
     matcher="scan-to-scan",
     filter_moving=False,
     judge_again=False,
+    hindsight=False,
     occupy_with_moving=True,
     motion=MotionConfig(margin_cells=0, track_reach_m=0.0),
     grid=GridConfig(fill_gaps=False),

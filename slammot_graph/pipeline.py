@@ -29,7 +29,9 @@ from slammot_graph.motion import (
     TrackConfig,
     Tracker,
     detect_moving,
+    reasons,
 )
+from slammot_graph.motion.hindsight import Judged, judge_in_hindsight
 from slammot_graph.result_types import GridMap, MatchResult, StepResult, TrackState
 from slammot_graph.scan import Scan
 from slammot_graph.stopwatch import Stopwatch
@@ -56,6 +58,8 @@ class PipelineConfig:
         or its absolute marginal.
     judge_again : bool
         Repeat the test at the matched pose before the map is updated.
+    hindsight : bool
+        Judge every scan again after the run, with what was seen later.
     occupy_with_moving : bool
         Moving points occupy cells too (the paper's map takes ALL points).
     max_range_m : float
@@ -84,6 +88,7 @@ class PipelineConfig:
     filter_moving: bool = True
     test_covariance: TestCovariance = "relative"
     judge_again: bool = True
+    hindsight: bool = True
     occupy_with_moving: bool = False
     max_range_m: float = 40.0
     free_no_return_m: float = 5.0
@@ -151,6 +156,7 @@ class Pipeline:
         grid = config.grid if window_m is None else config.local_grid
         self.grid = OccupancyGrid(grid, window_m=window_m)
         self._node_views: list[_View] = []
+        self._judged: list[Judged] = []
         self._stopwatch = Stopwatch()
 
     def step(self, scan: Scan) -> StepResult:
@@ -177,6 +183,7 @@ class Pipeline:
             self._update_map(scan, points_base, is_valid, is_static, matched, node)
         with watch.stage("objects"):
             tracks = self._track(scan, detection, matched)
+        self._remember(scan, is_valid, detection, matched)
         T_map_local = self.localizer.T_map_local
         return StepResult(
             scan=scan,
@@ -195,6 +202,20 @@ class Pipeline:
             node=node,
             events=tuple(events),
             stage_ms=watch.read(),
+        )
+
+    def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
+        """Judge every scan again at its optimised pose (n, 3); None for a method that does not look back."""
+        if not (self.config.hindsight and self.config.filter_moving):
+            return None
+        return judge_in_hindsight(
+            self._judged,
+            T_map_base,
+            grid=self.grid.config,
+            window_m=2.0 * self.config.max_range_m + 20.0,
+            motion=self.config.motion,
+            clusters=self.config.clusters,
+            tracks=self.config.tracks,
         )
 
     def final(self) -> FinalEstimate:
@@ -241,6 +262,24 @@ class Pipeline:
             self.tracker.expected(scan.stamp),
         )
 
+    def _remember(self, scan: Scan, is_valid: BoolArray, detection: Detection, matched: Estimate) -> None:
+        """Keep what the final labels need."""
+        if not (self.config.hindsight and self.config.filter_moving):
+            return
+        has_walked = np.zeros(len(is_valid), dtype=np.bool_)
+        for track in self.tracker.walked():
+            has_walked[track.beams] = True
+        kept = Judged(
+            scan=scan,
+            is_valid=is_valid,
+            is_moving=detection.is_moving,
+            is_wall=detection.reason == reasons.OCCUPIED,
+            has_walked=has_walked,
+            cov_relative=self._test_covariance(matched),
+            window=self.grid.oldest,
+        )
+        self._judged.append(kept)
+
     def _update_map(
         self,
         scan: Scan,
@@ -264,10 +303,7 @@ class Pipeline:
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
         points = scan.points(matched.T_local_base)
-        beams = [np.flatnonzero(detection.cluster == c) for c in range(detection.n_clusters)]
-        centres = np.array([points[b].mean(axis=0) for b in beams]).reshape(-1, 2)
-        covs = np.array([detection.point_cov[b].mean(axis=0) for b in beams]).reshape(-1, 2, 2)
-        tracks = self.tracker.update(scan.stamp, centres, covs, beams)
+        tracks = self.tracker.update(scan.stamp, *detection.clusters(points))
         T_map_local = self.localizer.T_map_local
         R = se2.rotation(T_map_local[2])
         return tuple(

@@ -92,6 +92,7 @@ class Run:
         """Take the optimised trajectory and the map, and end the pipeline."""
         try:
             self._final = self.pipeline.final()
+            self._final_labels = self.pipeline.final_labels(self._final.T_map_base)
             self._grid = self.pipeline.render_map()
         finally:
             self.pipeline.close()
@@ -106,7 +107,8 @@ class Run:
         """Give the result of all scans so far; call it after the iteration has ended, early or not."""
         kept, final = self._kept, self._final
         n = len(kept.stamps)
-        is_moving = _padded(kept.is_moving)
+        online = _padded(kept.is_moving)
+        is_moving = online if self._final_labels is None else _padded(self._final_labels)
         T_odom_base = np.array(kept.T_odom_base).reshape(-1, 3)
         start = se2.compose(final.T_map_base[0], se2.inverse(T_odom_base[0])) if n else se2.IDENTITY
         stage_names = list(dict.fromkeys(name for stages in kept.stage_ms for name in stages))
@@ -119,7 +121,7 @@ class Run:
             cov_map=final.cov_map,
             is_valid=_padded(kept.is_valid),
             is_moving=is_moving,
-            is_moving_online=is_moving,
+            is_moving_online=online,
             p_moving=_padded(kept.p_moving, fill=np.nan),
             tracks=np.array(kept.tracks).reshape(-1, 10),
             grid=self._grid,

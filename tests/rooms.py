@@ -54,6 +54,14 @@ def cast(
     return ranges, ids
 
 
+def wall_distance(points: FloatArray, walls: FloatArray) -> FloatArray:
+    """(...) distance [m] of points (..., 2) to the nearest of walls (k, 4)."""
+    a, e = walls[:, :2], walls[:, 2:] - walls[:, :2]
+    offset = points[..., None, :] - a
+    share = np.clip(np.sum(offset * e, axis=-1) / np.maximum(np.sum(e * e, axis=-1), 1e-12), 0.0, 1.0)
+    return np.linalg.norm(offset - share[..., None] * e, axis=-1).min(axis=-1)
+
+
 def take_scan(
     T_world_base: FloatArray,
     *,

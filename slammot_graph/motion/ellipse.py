@@ -87,6 +87,17 @@ class Detection:
     n_clusters: int
     point_cov: FloatArray
 
+    def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
+        """Give what a tracker needs of the k clusters, with the scan's points (n, 2) in the frame of the pose.
+
+        Returns centres (k, 2), their covariances (k, 2, 2), the beams of each, and whether free cells prove it (k,).
+        """
+        beams = [np.flatnonzero(self.cluster == c) for c in range(self.n_clusters)]
+        centres = np.array([points[b].mean(axis=0) for b in beams]).reshape(-1, 2)
+        covs = np.array([self.point_cov[b].mean(axis=0) for b in beams]).reshape(-1, 2, 2)
+        is_proven = np.array([(self.reason[b] == reasons.FREE).any() for b in beams], dtype=np.bool_)
+        return centres, covs, beams, is_proven
+
     @classmethod
     def nothing(cls, is_valid: BoolArray) -> "Detection":
         """Call every beam of a scan static, as a method without a moving-point test does."""

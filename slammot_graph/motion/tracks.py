@@ -1,5 +1,6 @@
 """Tracks of moving objects: a constant-velocity Kalman filter each, joined to clusters by global assignment."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,7 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from slammot_graph.errors import ConfigError
-from slammot_graph.types import FloatArray, IntArray
+from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,16 +94,25 @@ class Tracker:
     def expected(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have walked should be at a stamp [s], tracker's frame."""
         dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
-        walked = [
-            t.state
-            for t in self.tracks
-            if t.n_hits >= self.config.n_confirm
-            and np.hypot(*(t.state[:2] - t.start)) >= self.config.min_way_m
+        states = [track.state for track in self.walked()]
+        return np.array([state[:2] + dt * state[2:] for state in states]).reshape(-1, 2)
+
+    def walked(self) -> list[Track]:
+        """Confirmed tracks of objects that have walked."""
+        return [
+            track
+            for track in self.tracks
+            if track.n_hits >= self.config.n_confirm
+            and math.dist(track.state[:2], track.start) >= self.config.min_way_m
         ]
-        return np.array([state[:2] + dt * state[2:] for state in walked]).reshape(-1, 2)
 
     def update(
-        self, stamp_s: float, centres: FloatArray, centre_covs: FloatArray, beams: Sequence[IntArray]
+        self,
+        stamp_s: float,
+        centres: FloatArray,
+        centre_covs: FloatArray,
+        beams: Sequence[IntArray],
+        is_proven: BoolArray | None = None,
     ) -> list[Track]:
         """Predict to `stamp_s`, join clusters to tracks, begin and end tracks.
 
@@ -116,6 +126,9 @@ class Tracker:
             What the pose's uncertainty adds to `centre_std_m`.
         beams : k int arrays
             Beams of each cluster.
+        is_proven : (k,) bool array, optional
+            Clusters with a beam on free cells; the others follow from their track alone, do not begin one, and do
+            not keep one alive. By default all are proven.
 
         Returns
         -------
@@ -127,17 +140,24 @@ class Tracker:
             self._stamp_s = stamp_s  # the clock was set back for good
         if not self.tracks and not len(centres):
             return []
+        proven = np.ones(len(centres), dtype=np.bool_) if is_proven is None else is_proven
         predicted = [self._predict(track, dt) for track in self.tracks]
         noise = centre_covs + self.config.centre_std_m**2 * np.eye(2)
         pairs = self._assign(predicted, centres, noise)
-        joined = {t: self._correct(predicted[t], centres[c], noise[c], beams[c]) for t, c in pairs}
+        joined = {
+            t: self._correct(predicted[t], centres[c], noise[c], beams[c], bool(proven[c])) for t, c in pairs
+        }
         taken = {c for _, c in pairs}
         kept = [
             joined.get(t, track)
             for t, track in enumerate(predicted)
-            if t in joined or track.missed_s <= self.config.max_missed_s
+            if track.missed_s <= self.config.max_missed_s or (t in joined and joined[t].missed_s == 0.0)
         ]
-        begun = [self._begin(centres[c], noise[c], beams[c]) for c in range(len(centres)) if c not in taken]
+        begun = [
+            self._begin(centres[c], noise[c], beams[c])
+            for c in range(len(centres))
+            if c not in taken and proven[c]
+        ]
         self.tracks = kept + begun
         return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
 
@@ -167,7 +187,9 @@ class Tracker:
         rows, cols = linear_sum_assignment(cost)
         return [(int(t), int(c)) for t, c in zip(rows, cols, strict=True) if cost[t, c] <= self.config.gate]
 
-    def _correct(self, track: Track, centre: FloatArray, noise: FloatArray, beams: IntArray) -> Track:
+    def _correct(
+        self, track: Track, centre: FloatArray, noise: FloatArray, beams: IntArray, is_proven: bool
+    ) -> Track:
         S = track.cov[:2, :2] + noise
         K = np.linalg.solve(S, track.cov[:2, :]).T
         cov = track.cov - K @ track.cov[:2, :]
@@ -177,7 +199,7 @@ class Tracker:
             cov=0.5 * (cov + cov.T),
             start=track.start,
             n_hits=track.n_hits + 1,
-            missed_s=0.0,
+            missed_s=0.0 if is_proven else track.missed_s,
             beams=beams,
         )
 

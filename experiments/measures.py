@@ -1,0 +1,132 @@
+"""What the experiments measure of a run, as plain numbers under names."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from experiments.common import Scores
+from slammot_graph import Run, se2
+from slammot_graph.evaluation import (
+    TrackPoints,
+    absolute_error,
+    evaluate_map,
+    evaluate_points,
+    evaluate_tracks,
+)
+from slammot_graph.grid import GridConfig, OccupancyGrid
+from slammot_graph.result_types import GridMap, RunResult
+from slammot_graph.simulation import Scenario, SimulatedLog, simulate
+from slammot_graph.types import BoolArray, FloatArray
+
+RPE_DELTA_M = 1.0
+
+
+def run_method(log: SimulatedLog, method: str) -> RunResult:
+    """Run a method over a log in memory."""
+    return Run(log, method).complete()
+
+
+@lru_cache(maxsize=2)
+def simulated(
+    scenario: str | Scenario,
+    seed: int,
+    n_people: int | None = None,
+    noise_scale: float = 1.0,
+    rate_hz: float | None = None,
+) -> SimulatedLog:
+    """Simulate, or give the log that the last cell used."""
+    return simulate(scenario, seed=seed, n_people=n_people, noise_scale=noise_scale, rate_hz=rate_hz)
+
+
+@lru_cache(maxsize=2)
+def without_people(
+    scenario: str | Scenario, seed: int, noise_scale: float = 1.0, rate_hz: float | None = None
+) -> SimulatedLog:
+    """The same drive with nobody about."""
+    return simulate(scenario, seed=seed, n_people=0, noise_scale=noise_scale, rate_hz=rate_hz)
+
+
+def trajectory_scores(result: RunResult, T_world_base: FloatArray) -> Scores:
+    """ATE and RPE by evo: `ate_m`, `rpe_m` and `rpe_deg` (root mean square, RPE over 1 m).
+
+    The alignment is the planar one of `evaluation.alignment`: evo's, in space, has no answer for a straight drive.
+    """
+    from evo.core import metrics
+    from evo.core.trajectory import PosePath3D
+
+    def path(T: FloatArray) -> PosePath3D:
+        zero = np.zeros(len(T))
+        half = 0.5 * T[:, 2]
+        return PosePath3D(
+            positions_xyz=np.column_stack([T[:, :2], zero]),
+            orientations_quat_wxyz=np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
+        )
+
+    T_world_map = absolute_error(result.T_map_base, T_world_base).T_world_map
+    both = (path(T_world_base), path(se2.compose(T_world_map[None, :], result.T_map_base)))
+    scores: Scores = {}
+    for name, metric in (
+        ("ate_m", metrics.APE(metrics.PoseRelation.translation_part)),
+        ("rpe_m", _rpe(metrics.PoseRelation.translation_part)),
+        ("rpe_deg", _rpe(metrics.PoseRelation.rotation_angle_deg)),
+    ):
+        metric.process_data(both)
+        scores[name] = float(metric.get_statistic(metrics.StatisticsType.rmse))
+    return scores
+
+
+def _rpe(relation: object) -> "object":
+    from evo.core import metrics
+
+    return metrics.RPE(relation, delta=RPE_DELTA_M, delta_unit=metrics.Unit.meters, all_pairs=True)
+
+
+def point_scores(is_moving: BoolArray, log: SimulatedLog, is_valid: BoolArray) -> Scores:
+    """Labels against the truth: `iou`, `precision`, `recall`, `static_kept`."""
+    points = evaluate_points(is_moving, log.is_moving, is_valid)
+    return {name: getattr(points, name) for name in ("iou", "precision", "recall", "static_kept")}
+
+
+def map_scores(result: RunResult, log: SimulatedLog, clean: SimulatedLog) -> Scores:
+    """Compare the final map with the one of the log without people at true poses: `ghosts_per_m2`, `lost_per_m2`."""
+    T_world_map = absolute_error(result.T_map_base, log.T_world_base).T_world_map
+    T_map_base = se2.compose(se2.inverse(T_world_map)[None, :], clean.T_world_base)
+    scores = evaluate_map(result.grid, true_map(clean, T_map_base))
+    return {"ghosts_per_m2": scores.ghosts_per_m2, "lost_per_m2": scores.lost_walls_per_m2}
+
+
+def true_map(log: SimulatedLog, T_map_base: FloatArray) -> GridMap:
+    """Render all scans of a log at given poses."""
+    grid = OccupancyGrid(GridConfig())
+    for scan, T in zip(log, T_map_base, strict=True):
+        is_valid = scan.is_valid(40.0)
+        ends = se2.transform(T, np.vstack([scan.laser.origin_base, scan.points_base()]))
+        grid.update(scan.index, ends[0], ends[1:], is_valid, is_valid)
+    return grid.to_map()
+
+
+def step_ms(result: RunResult) -> float:
+    """Median time of a step [ms]."""
+    return float(np.median(result.stage_ms["step"]))
+
+
+def true_positions(log: SimulatedLog, T_map_world: FloatArray) -> TrackPoints:
+    """Where the people were who were seen, in the map."""
+    seen = np.array([np.isin(np.arange(log.objects.shape[1]), ids) for ids in log.object_id])
+    seen = seen.reshape(len(log.stamps), -1)
+    frames, people = np.nonzero(seen)
+    positions = se2.transform(T_map_world, log.objects[frames, people, :2].reshape(-1, 2))
+    return TrackPoints(frames=frames, ids=people, positions=positions)
+
+
+def walker_scores(result: RunResult, log: SimulatedLog) -> Scores:
+    """Tracks against the people who were seen: `walker_rmse_m` and the share of their positions found."""
+    T_world_map = absolute_error(result.T_map_base, log.T_world_base).T_world_map
+    estimate = TrackPoints(
+        frames=result.tracks[:, 9].astype(np.int64),
+        ids=result.tracks[:, 1].astype(np.int64),
+        positions=result.tracks[:, 2:4],
+    )
+    scores = evaluate_tracks(true_positions(log, se2.inverse(T_world_map)), estimate)
+    found = scores.n_matches / scores.n if scores.n else float("nan")
+    return {"walker_rmse_m": scores.position_rmse_m, "walkers_found": found, "mota": scores.mota}

@@ -1,0 +1,121 @@
+"""Final labels: every scan judged again, at its best pose, with what was seen after it.
+
+The moving-point test runs once more from the last scan to the first. Who stood there when the laser first looked
+and walked away later is found, since the cells were free afterwards; what was called moving online but was hit by
+static points later is a wall after all, unless it belongs to an object that has walked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.grid import GridConfig, OccupancyGrid
+from slammot_graph.motion import reasons
+from slammot_graph.motion.clusters import ClusterConfig
+from slammot_graph.motion.ellipse import Detection, MotionConfig, detect_moving
+from slammot_graph.motion.tracks import TrackConfig, Tracker
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """What was decided about a scan at its time.
+
+    Attributes
+    ----------
+    scan : Scan
+    is_valid, is_moving : (n,) bool arrays
+    is_wall : (n,) bool array
+        Beams that hit an occupied cell.
+    has_walked : (n,) bool array
+        Beams on tracked objects that have walked.
+    cov_relative : (3, 3) array
+        Covariance of the matched pose in the test.
+    window : int
+        Number of the scan in the log with which the test's memory began.
+    """
+
+    scan: Scan
+    is_valid: BoolArray
+    is_moving: BoolArray
+    is_wall: BoolArray
+    has_walked: BoolArray
+    cov_relative: FloatArray
+    window: int
+
+
+def judge_in_hindsight(
+    judged: Sequence[Judged],
+    T_map_base: FloatArray,
+    *,
+    grid: GridConfig,
+    window_m: float,
+    motion: MotionConfig,
+    clusters: ClusterConfig,
+    tracks: TrackConfig,
+) -> list[BoolArray]:
+    """Give the final labels of a run.
+
+    Parameters
+    ----------
+    judged : sequence of n `Judged`
+        In the order of the log.
+    T_map_base : (n, 3) array
+        Optimised poses.
+    grid, window_m, motion, clusters, tracks
+        As of the test at the time.
+
+    Returns
+    -------
+    n bool arrays, one entry a beam.
+    """
+    n = len(judged)
+    memory = OccupancyGrid(grid, window_m=window_m)
+    tracker = Tracker(tracks)
+    last_in_window = _last_in_window(judged)
+    labels: list[BoolArray] = [j.is_moving for j in judged]
+    for k in range(n - 1, -1, -1):
+        now = n - 1 - k
+        item, T = judged[k], T_map_base[k]
+        memory.oldest = n - 1 - last_in_window[k]
+        expected = tracker.expected(-item.scan.stamp)
+        later = detect_moving(
+            item.scan, item.is_valid, T, item.cov_relative, memory, motion, clusters, expected
+        )
+        ends = se2.transform(T, np.vstack([item.scan.laser.origin_base, item.scan.points_base()]))
+        labels[k] = _combine(item, later, _follow(tracker, item, later, ends[1:]))
+        is_static = item.is_valid & ~labels[k]
+        memory.update(now, ends[0], ends[1:], item.is_valid, is_static, labels[k])
+    return labels
+
+
+def _combine(item: Judged, later: Detection, walks_later: BoolArray) -> BoolArray:
+    """Moving if called so then or now; a wall on the other side of time takes back what has not walked."""
+    before = item.is_moving & ((later.reason != reasons.OCCUPIED) | item.has_walked)
+    after = later.is_moving & (~item.is_wall | walks_later)
+    return np.asarray(before | after)
+
+
+def _last_in_window(judged: Sequence[Judged]) -> list[int]:
+    """For each scan the last one whose own memory still holds it."""
+    last = list(range(len(judged)))
+    reached = 0
+    for k, item in enumerate(judged):
+        while reached < item.window:
+            last[reached] = max(k - 1, reached)
+            reached += 1
+    for k in range(reached, len(judged)):
+        last[k] = len(judged) - 1
+    return last
+
+
+def _follow(tracker: Tracker, item: Judged, later: Detection, points: FloatArray) -> BoolArray:
+    """Track backward in time; returns the beams on objects that have walked."""
+    tracker.update(-item.scan.stamp, *later.clusters(points))
+    has_walked = np.zeros(len(points), dtype=np.bool_)
+    for track in tracker.walked():
+        has_walked[track.beams] = True
+    return has_walked
