@@ -195,7 +195,8 @@ class Pipeline:
             is_moving=detection.is_moving,
             p_moving=detection.p_moving,
             reason=detection.reason,
-            point_cov_map=_turn(detection.point_cov, T_map_local[2]),
+            packed_cov=detection.packed_cov,
+            local_yaw=float(T_map_local[2]),
             match=match,
             innovation_nis=nis,
             tracks=tracks,
@@ -355,11 +356,3 @@ def _innovation_nis(predicted: Estimate, match: MatchResult | None) -> float:
     if match is None or match.status == "failed":
         return math.nan
     return mahalanobis2(match.innovation, predicted.cov_relative + match.cov)
-
-
-def _turn(cov: FloatArray, theta: float) -> FloatArray:
-    """Turn (n, 2, 2) covariances by an angle."""
-    if theta == 0.0:
-        return cov
-    R = se2.rotation(theta)
-    return R @ cov @ R.T

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from slammot_graph import se2
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
@@ -102,8 +103,10 @@ class StepResult:
         Probability that the beam hit something moving; NaN where not valid.
     reason : (n_beams,) int array
         Why a beam was decided as it was: an index into `motion.REASONS`.
-    point_cov_map : (n_beams, 2, 2) array
-        Covariance of the end points as used by the test [m^2], map axes.
+    packed_cov : (n_beams, 3) array
+        Covariance of the end points as used by the test [m^2]: xx, xy, yy in the local frame.
+    local_yaw : float
+        Turn of the local frame in the map [rad].
     match : MatchResult or None
     innovation_nis : float
         Normalised innovation squared of the match against the prediction (3 degrees of freedom); NaN if none.
@@ -125,13 +128,20 @@ class StepResult:
     is_moving: BoolArray
     p_moving: FloatArray
     reason: IntArray
-    point_cov_map: FloatArray
+    packed_cov: FloatArray
+    local_yaw: float
     match: MatchResult | None
     innovation_nis: float
     tracks: tuple[TrackState, ...]
     node: int | None
     events: tuple[str, ...]
     stage_ms: Mapping[str, float]
+
+    @property
+    def point_cov_map(self) -> FloatArray:
+        """(n_beams, 2, 2) covariance of the end points as used by the test [m^2], map axes."""
+        R = se2.rotation(self.local_yaw)
+        return R @ self.packed_cov[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ R.T
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

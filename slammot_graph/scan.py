@@ -130,8 +130,14 @@ class Scan:
 
     def points_base(self) -> FloatArray:
         """(n_beams, 2) end points in the base frame [m]: origin + r (cos, sin) (eq. 7); NaN for infinite r."""
+        return self._points_base
+
+    @cached_property
+    def _points_base(self) -> FloatArray:
         ranges = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
-        return self.laser.origin_base + ranges[:, None] * self.laser.directions_base
+        points = self.laser.origin_base + ranges[:, None] * self.laser.directions_base
+        points.setflags(write=False)
+        return points
 
     def points(self, T_a_base: FloatArray) -> FloatArray:
         """(n_beams, 2) end points carried into frame a [m] (eq. 2)."""

@@ -504,3 +504,73 @@ def match_point_to_point(
         T[1] = qy - s * mx - c * my
         T[2] = theta
     return iterations
+
+
+@kernel
+def judge_match(
+    points: FloatArray,
+    is_used: BoolArray,
+    T_prior: FloatArray,
+    T: FloatArray,
+    h: FloatArray,
+    g: FloatArray,
+    n_pairs: float,
+    residual_std: float,
+    floor_std: float,
+    weak_ratio: float,
+    T_free: FloatArray,
+    information: FloatArray,
+) -> int:
+    """Split a match into strong and weak directions; returns the number of weak ones.
+
+    Directions are eigenvectors of the normal matrix `h`, the rotation scaled by the points' root mean square
+    distance. In weak ones `T` goes back to `T_prior`. `T_free` gets the optimum of the match alone in the strong ones,
+    `information` (3, 3) what they tell: ``1 / (residual_std^2 / eigenvalue + floor_std^2)`` each.
+    """
+    total = 0.0
+    n = 0
+    for k in range(points.shape[0]):
+        if is_used[k]:
+            total += points[k, 0] ** 2 + points[k, 1] ** 2
+            n += 1
+    lever = math.sqrt(total / max(n, 1))
+    scale = np.array([1.0, 1.0, 1.0 / lever])
+    values, vectors = np.linalg.eigh(h * np.outer(scale, scale))
+    # the scaled tangent is (x, y, lever * theta)
+    c = math.cos(T_prior[2])
+    s = math.sin(T_prior[2])
+    ex = T[0] - T_prior[0]
+    ey = T[1] - T_prior[1]
+    moved = np.empty(3)
+    moved[0] = c * ex + s * ey
+    moved[1] = -s * ex + c * ey
+    moved[2] = (T[2] - T_prior[2] + math.pi) % (2.0 * math.pi) - math.pi
+    kept = np.zeros(3)
+    free = np.zeros(3)
+    information[:] = 0.0
+    n_weak = 0
+    for m in range(3):
+        if not values[m] > weak_ratio * n_pairs:
+            n_weak += 1
+            continue
+        along = 0.0
+        slope = 0.0
+        for i in range(3):
+            along += vectors[i, m] * moved[i] / scale[i]
+            slope += vectors[i, m] * scale[i] * g[i]
+        weight = 1.0 / (residual_std**2 / values[m] + floor_std**2)
+        for i in range(3):
+            kept[i] += vectors[i, m] * scale[i] * along
+            free[i] -= vectors[i, m] * scale[i] * slope / values[m]
+            for j in range(3):
+                information[i, j] += weight * vectors[i, m] / scale[i] * vectors[j, m] / scale[j]
+    if n_weak > 0:
+        T[0] = T_prior[0] + c * kept[0] - s * kept[1]
+        T[1] = T_prior[1] + s * kept[0] + c * kept[1]
+        T[2] = (T_prior[2] + kept[2] + math.pi) % (2.0 * math.pi) - math.pi
+    c = math.cos(T[2])
+    s = math.sin(T[2])
+    T_free[0] = T[0] + c * free[0] - s * free[1]
+    T_free[1] = T[1] + s * free[0] + c * free[1]
+    T_free[2] = (T[2] + free[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return n_weak

@@ -190,16 +190,23 @@ def _judge(
         information, status, T = np.zeros((3, 3)), "failed", T_predicted
         T_free = T_predicted
     else:
-        lever_m = float(np.sqrt(np.mean(np.sum(points_base[is_static] ** 2, axis=1))))
-        information, pseudo_inverse, strong, n_weak = _information(solution.H, n_pairs, lever_m, config)
-        status = "converged" if n_weak == 0 else "degenerate"
-        reason = "" if n_weak == 0 else f"{n_weak} of 3 directions are not determined"
-        if n_weak == 3:
-            status, reason = "failed", "no direction is determined"
-        T = solution.T
-        if n_weak:
-            T = se2.compose(T_predicted, se2.exp(strong @ se2.log(se2.between(T_predicted, T))))
-        T_free = se2.compose(T, se2.exp(-pseudo_inverse @ solution.g))
+        T, T_free, information = solution.T, np.empty(3), np.empty((3, 3))
+        n_weak = _kernels.judge_match(
+            points_base,
+            is_static,
+            T_predicted,
+            T,
+            solution.H,
+            solution.g,
+            float(n_pairs),
+            config.residual_std_m,
+            config.floor_std_m,
+            config.weak_ratio,
+            T_free,
+            information,
+        )
+        status = ("converged", "degenerate", "degenerate", "failed")[n_weak]
+        reason = f"{n_weak} of 3 directions are not determined" if n_weak else ""
     cov = invert(information + 1e-6 * np.eye(3))
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(
@@ -215,25 +222,3 @@ def _judge(
         reason=reason,
     )
     return result, T
-
-
-def _information(
-    H: FloatArray, n_pairs: int, lever_m: float, config: PointToLineConfig
-) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Information of a match from its normal matrix, weak directions left out.
-
-    Returns the information (3, 3), the pseudo-inverse of H on the strong directions, the projection of a tangent
-    onto them, and the number of weak ones.
-    Directions are compared after scaling the rotation by `lever_m`.
-    """
-    scale = np.array([1.0, 1.0, 1.0 / lever_m])
-    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
-    is_strong = values > config.weak_ratio * n_pairs
-    variance = config.residual_std_m**2 / np.maximum(values, 1e-12) + config.floor_std_m**2
-    # the scaled tangent is (x, y, lever * theta): information goes back with 1 / scale
-    back = vectors / scale[:, None]
-    information = (back * np.where(is_strong, 1.0 / variance, 0.0)) @ back.T
-    forth = vectors * scale[:, None]
-    pseudo_inverse = (forth * np.where(is_strong, 1.0 / np.maximum(values, 1e-12), 0.0)) @ forth.T
-    strong = forth[:, is_strong] @ (vectors / scale[:, None])[:, is_strong].T
-    return information, pseudo_inverse, strong, int(np.count_nonzero(~is_strong))

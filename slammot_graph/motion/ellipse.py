@@ -76,8 +76,8 @@ class Detection:
     cluster : (n,) int array
         Number of the cluster of a moving beam, -1 for others.
     n_clusters : int
-    point_cov : (n, 2, 2) array [m^2]
-        Covariance of the end points in the frame of the pose.
+    packed_cov : (n, 3) array [m^2]
+        Covariance of the end points in the frame of the pose: xx, xy, yy.
     """
 
     is_moving: BoolArray
@@ -85,7 +85,7 @@ class Detection:
     reason: IntArray
     cluster: IntArray
     n_clusters: int
-    point_cov: FloatArray
+    packed_cov: FloatArray
 
     def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
         """Give what a tracker needs of the k clusters, with the scan's points (n, 2) in the frame of the pose.
@@ -94,9 +94,9 @@ class Detection:
         """
         beams = [np.flatnonzero(self.cluster == c) for c in range(self.n_clusters)]
         centres = np.array([points[b].mean(axis=0) for b in beams]).reshape(-1, 2)
-        covs = np.array([self.point_cov[b].mean(axis=0) for b in beams]).reshape(-1, 2, 2)
+        covs = np.array([self.packed_cov[b].mean(axis=0) for b in beams]).reshape(-1, 3)
         is_proven = np.array([(self.reason[b] == reasons.FREE).any() for b in beams], dtype=np.bool_)
-        return centres, covs, beams, is_proven
+        return centres, unpack_covariances(covs), beams, is_proven
 
     @classmethod
     def nothing(cls, is_valid: BoolArray) -> "Detection":
@@ -108,7 +108,7 @@ class Detection:
             reason=np.where(is_valid, reasons.NOT_TESTED, reasons.NOT_VALID),
             cluster=np.full(n, -1),
             n_clusters=0,
-            point_cov=np.zeros((n, 2, 2)),
+            packed_cov=np.zeros((n, 3)),
         )
 
     def stand_back(self) -> "Detection":
@@ -141,7 +141,8 @@ def _packed_covariances(
     return packed
 
 
-def _as_matrices(packed: FloatArray) -> FloatArray:
+def unpack_covariances(packed: FloatArray) -> FloatArray:
+    """(n, 2, 2) matrices of (n, 3) rows xx, xy, yy."""
     return packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
 
 
@@ -162,7 +163,7 @@ def end_point_covariances(
     -------
     (n, 2, 2) array [m^2].
     """
-    return _as_matrices(_packed_covariances(scan, T_a_base, cov_pose, config))
+    return unpack_covariances(_packed_covariances(scan, T_a_base, cov_pose, config))
 
 
 def detect_moving(
@@ -227,11 +228,11 @@ def detect_moving(
             reason[is_open & ~is_moving] = reasons.DISCARDED
     detection = Detection(
         is_moving=is_moving,
-        p_moving=np.where(is_valid, is_moving.astype(np.float64), np.nan),
+        p_moving=np.where(is_valid, is_moving, np.nan),
         reason=reason,
         cluster=cluster,
         n_clusters=n_clusters,
-        point_cov=_as_matrices(packed),
+        packed_cov=packed,
     )
     if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
         return detection.stand_back()
