@@ -13,6 +13,7 @@ from slammot_graph.errors import ConfigError
 from slammot_graph.graph import PoseGraph
 from slammot_graph.linalg import mahalanobis2
 from slammot_graph.matching import LocalMap, LocalMapConfig, PointToLineConfig, match_to_local_map
+from slammot_graph.result_types import GraphEdge
 from slammot_graph.types import FloatArray
 
 
@@ -67,7 +68,7 @@ class LoopClosureConfig:
     max_ambiguity: float = 0.9
     gate: float = 16.27
     surprise: float = 4.0
-    max_residual2: float = 40.0
+    max_residual2: float = 150.0
     point_to_line: PointToLineConfig = field(
         default_factory=lambda: PointToLineConfig(floor_std_m=0.01, max_iterations=30)
     )
@@ -123,7 +124,7 @@ class LoopCloser:
         self.config = config
         self.graph = graph
         self.submaps: list[Submap] = []
-        self.accepted: list[Closure] = []
+        self.accepted: list[tuple[Closure, GraphEdge]] = []
         self.pending: list[Closure] = []
         self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
         self._field = LocalMap(local_map)
@@ -146,6 +147,8 @@ class LoopCloser:
             accepted, reason = self.decide(closure, T_predicted, cov)
             events.append(f"closure {closure.target.anchor}-{closure.source.anchor} {reason}")
             changed |= accepted
+        if changed:
+            events += self.take_back()
         return changed, events
 
     def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> tuple[bool, str]:
@@ -307,12 +310,38 @@ class LoopCloser:
 
     def _accept(self, closures: list[Closure]) -> None:
         for closure in closures:
-            self.graph.add_edge(
+            edge = self.graph.add_edge(
                 "closure",
                 closure.target.anchor,
                 closure.source.anchor,
                 closure.T_target_source,
                 closure.information,
             )
-        self.accepted += closures
+            self.accepted.append((closure, edge))
         self.graph.update()
+
+    def take_back(self) -> list[str]:
+        """Take out the closure that the others contradict most, until none is contradicted; tells which."""
+        events: list[str] = []
+        while self.accepted:
+            residual2 = self._residuals2()
+            worst = int(np.argmax(residual2))
+            if residual2[worst] <= self.config.max_residual2:
+                break
+            closure, edge = self.accepted.pop(worst)
+            self.graph.remove_edges([edge])
+            events.append(
+                f"closure {closure.target.anchor}-{closure.source.anchor} taken back: the others contradict it, "
+                f"squared residual {residual2[worst]:.0f}"
+            )
+        return events
+
+    def _residuals2(self) -> FloatArray:
+        """(k,) squared residuals of the accepted closures, each in its own covariance."""
+        nodes = self.graph.poses()
+        closures = [closure for closure, _ in self.accepted]
+        T_map_target = nodes[[c.target.anchor for c in closures]]
+        T_map_source = nodes[[c.source.anchor for c in closures]]
+        T_found = np.array([c.T_target_source for c in closures])
+        offset = se2.log(se2.between(T_found, se2.between(T_map_target, T_map_source)))
+        return np.einsum("ki,kij,kj->k", offset, np.array([c.information for c in closures]), offset)

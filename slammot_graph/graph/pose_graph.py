@@ -5,7 +5,7 @@ recursions over long chains overflow a default one.
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
@@ -61,6 +61,8 @@ class PoseGraph:
         self.config = config
         self.edges: list[GraphEdge] = []
         self._n_nodes = 0
+        self._waiting: list[GraphEdge] = []
+        self._factor_of: dict[int, int] = {}
         self._isam = gtsam.ISAM2(parameters)
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
@@ -88,8 +90,8 @@ class PoseGraph:
 
     def add_edge(
         self, kind: EdgeKind, from_node: int, to_node: int, T_from_to: FloatArray, information: FloatArray
-    ) -> None:
-        """Add a relative pose between two nodes.
+    ) -> GraphEdge:
+        """Add a relative pose between two nodes; it counts from the next `update` on.
 
         Parameters
         ----------
@@ -110,6 +112,8 @@ class PoseGraph:
         noise = _noise(edge)
         self._new_factors.add(gtsam.BetweenFactorPose2(from_node, to_node, _pose(T_from_to), noise))
         self.edges.append(edge)
+        self._waiting.append(edge)
+        return edge
 
     def update(self) -> None:
         """Bring what was added into the smoother.
@@ -121,7 +125,25 @@ class PoseGraph:
         """
         factors, values = self._new_factors, self._new_values
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._in_thread(lambda: self._isam.update(factors, values))
+        result = self._in_thread(lambda: self._isam.update(factors, values))
+        indices = list(result.getNewFactorsIndices())
+        for edge, index in zip(self._waiting, indices[len(indices) - len(self._waiting) :], strict=True):
+            self._factor_of[id(edge)] = int(index)
+        self._waiting = []
+
+    def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
+        """Take edges out again, as closures that turned out wrong."""
+
+        def remove() -> None:
+            parameters = gtsam.ISAM2UpdateParams()
+            parameters.removeFactorIndices = [self._factor_of.pop(id(edge)) for edge in edges]
+            self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), parameters)
+            for _ in range(2):
+                self._isam.update()
+
+        self._in_thread(remove)
+        gone = {id(edge) for edge in edges}
+        self.edges = [edge for edge in self.edges if id(edge) not in gone]
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
