@@ -344,4 +344,5 @@ class LoopCloser:
         T_map_source = nodes[[c.source.anchor for c in closures]]
         T_found = np.array([c.T_target_source for c in closures])
         offset = se2.log(se2.between(T_found, se2.between(T_map_target, T_map_source)))
-        return np.einsum("ki,kij,kj->k", offset, np.array([c.information for c in closures]), offset)
+        information = np.array([c.information for c in closures])
+        return np.asarray(np.einsum("ki,kij,kj->k", offset, information, offset))

@@ -7,10 +7,11 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
+from slammot_graph.simulation.crowds import walk_in_crowd
 from slammot_graph.simulation.free_space import FreeSpace
 from slammot_graph.types import FloatArray, IntArray
 
-Behaviour = Literal["wander", "walk-then-stop", "along"]
+Behaviour = Literal["wander", "walk-then-stop", "along", "crowd"]
 Shape = Literal["legs", "cylinder"]
 
 STRIDE_M = 0.7
@@ -24,7 +25,8 @@ class PeopleConfig:
 
     Attributes
     ----------
-    behaviour : "wander" (from goal to goal around the robot, with pauses), "walk-then-stop" or "along"
+    behaviour : "wander" (from goal to goal around the robot, with pauses), "walk-then-stop", "along" or
+        "crowd" (by JuPedSim)
     shape : "legs" (two, with a gait) or "cylinder"
     cylinder_radius_m : float
     speed_min_m_s, speed_max_m_s : float
@@ -104,6 +106,9 @@ def walk(
     """
     if n_people < 0:
         raise ConfigError(f"the number of people must not be negative, not {n_people}")
+    if config.behaviour == "crowd":
+        speeds_m_s = (config.speed_min_m_s, config.speed_max_m_s)
+        return walk_in_crowd(free_space, stamps, T_world_base, n_people, speeds_m_s, config.keep_off_m, rng)
     out = np.full((len(stamps), n_people, 4), np.nan)
     for p, stream in enumerate(rng.spawn(n_people)):
         if config.behaviour == "along":

@@ -60,6 +60,7 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario(name="office", world="office", n_people=4),
         Scenario(name="corridor", world="corridor", n_people=3),
         Scenario(name="hall", world="hall", n_people=6),
+        Scenario(name="crowd", world="hall", n_people=20, people=PeopleConfig(behaviour="crowd")),
         Scenario(name="building", world="building", n_people=6),
     )
 }

@@ -42,7 +42,11 @@ def submap(node: int) -> Submap:
 
 
 def decide(
-    closer: LoopCloser, target: int, source: int, moved: tuple[float, float, float] | FloatArray
+    closer: LoopCloser,
+    target: int,
+    source: int,
+    moved: tuple[float, float, float] | FloatArray,
+    cov: FloatArray = COV,
 ) -> tuple[bool, str]:
     """A closure that says: what came later lies elsewhere in the map, by `moved`."""
     nodes = closer.graph.poses()
@@ -54,7 +58,7 @@ def decide(
         cov=CLOSURE_COV,
         information=np.linalg.inv(CLOSURE_COV),
     )
-    return closer.decide(closure, se2.between(nodes[target], nodes[source]), COV)
+    return closer.decide(closure, se2.between(nodes[target], nodes[source]), cov)
 
 
 def closures(closer: LoopCloser) -> list[tuple[int, int]]:
@@ -65,7 +69,8 @@ def test_a_probable_closure_is_accepted_at_once(closer: LoopCloser) -> None:
     before = closer.graph.poses()
     assert decide(closer, 10, 50, (0.0, 0.6, 0.0)) == (True, "accepted")
     assert closures(closer) == [(10, 50)]
-    assert [(c.target.anchor, c.source.anchor) for c in closer.accepted] == [(10, 50)]
+    ((closure, edge),) = closer.accepted
+    assert (closure.target.anchor, closure.source.anchor) == (edge.from_node, edge.to_node) == (10, 50)
     assert closer.pending == []
     after = closer.graph.poses()
     np.testing.assert_allclose(after[50] - before[50], [0.0, 0.6, 0.0], atol=0.02)
@@ -133,6 +138,44 @@ def test_neighbours_and_places_far_apart_confirm_nothing(closer: LoopCloser) -> 
     # the way between, 44 m, is as uncertain as what is to be confirmed
     assert decide(closer, 26, 34, moved)[1].startswith("waits")
     assert len(closer.pending) == 2
+
+
+def accept_some(closer: LoopCloser) -> FloatArray:
+    """Four closures that agree; the poses (n, 3) after them."""
+    for target, source in ((20, 40), (15, 45), (10, 50), (5, 55)):
+        assert decide(closer, target, source, (0.0, 0.0, 0.0))[0]
+    assert closer.take_back() == []
+    return closer.graph.poses()
+
+
+def test_a_closure_that_the_others_contradict_is_taken_back(closer: LoopCloser) -> None:
+    before = accept_some(closer)
+    assert decide(closer, 13, 47, (1.0, -2.0, 0.3), cov=25.0 * np.eye(3)) == (True, "accepted")
+    assert np.abs(closer.graph.poses() - before).max() > 0.1
+    (event,) = closer.take_back()
+    text = "closure 13-47 taken back: the others contradict it, squared residual "
+    assert event.startswith(text)
+    assert int(event.removeprefix(text)) > closer.config.max_residual2
+    assert closures(closer) == [(20, 40), (15, 45), (10, 50), (5, 55)]
+    assert [(c.target.anchor, c.source.anchor) for c, _ in closer.accepted] == closures(closer)
+    np.testing.assert_allclose(closer.graph.poses(), before, atol=5e-3)
+    assert closer.take_back() == []
+
+
+def test_several_wrong_closures_are_taken_back_one_by_one(closer: LoopCloser) -> None:
+    before = accept_some(closer)
+    for target, source, moved in ((13, 47, (1.0, -2.0, 0.3)), (7, 53, (-2.0, 1.0, -0.2))):
+        assert decide(closer, target, source, moved, cov=25.0 * np.eye(3))[0]
+    events = closer.take_back()
+    assert sorted(event.split()[1] for event in events) == ["13-47", "7-53"]
+    np.testing.assert_allclose(closer.graph.poses(), before, atol=5e-3)
+
+
+def test_a_lone_closure_is_not_taken_back(closer: LoopCloser) -> None:
+    """Only odometry speaks against it, and that has bent."""
+    assert decide(closer, 13, 47, (1.0, -2.0, 0.3), cov=25.0 * np.eye(3))[0]
+    assert closer.take_back() == []
+    assert closures(closer) == [(13, 47)]
 
 
 @pytest.mark.parametrize(
