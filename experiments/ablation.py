@@ -71,9 +71,7 @@ def experiment(options: Options) -> None:
             for method in METHODS
         ]
         n_scans = column(scenario, "graph", "n_scans")
-        heading = (
-            f"{scenario}: {SCENARIOS[scenario].n_people} people, {min(n_scans)} to {max(n_scans)} scans"
-        )
+        heading = f"{scenario}: {SCENARIOS[scenario].n_people} people, {min(n_scans)} to {max(n_scans)} scans"
         columns = ["method", *(title for _, title, _ in COLUMNS), "ATE of graph against it, p"]
         tables.append(Table(heading=heading, columns=columns, rows=rows))
     tables.append(_paper_table(column, scenarios))
@@ -96,7 +94,11 @@ def _verdict(ours: Sequence[float], theirs: Sequence[float], p: float | None) ->
 def _paper_table(column, scenarios: Sequence[str]) -> Table:  # type: ignore[no-untyped-def]
     """The paper's claim: docpfo against icp with one and two walkers."""
     names = [s for s in ("one-walker", "two-walkers") if s in scenarios]
-    measured = (("ate_m", "ATE [m]", 4), ("rpe_m", "RPE over 1 m [m]", 4), ("ghosts_per_m2", "ghost cells/m^2", 3))
+    measured = (
+        ("ate_m", "ATE [m]", 4),
+        ("rpe_m", "RPE over 1 m [m]", 4),
+        ("ghosts_per_m2", "ghost cells/m^2", 3),
+    )
     p_values = holm(
         {
             f"{s} {m}": paired_p(column(s, "docpfo", m), column(s, "icp", m))
@@ -114,7 +116,9 @@ def _paper_table(column, scenarios: Sequence[str]) -> Table:  # type: ignore[no-
         for s in names
         for m, title, digits in measured
     ]
-    return Table(heading="The paper's claim: docpfo against icp", columns=["", "docpfo", "icp", "p"], rows=rows)
+    return Table(
+        heading="The paper's claim: docpfo against icp", columns=["", "docpfo", "icp", "p"], rows=rows
+    )
 
 
 if __name__ == "__main__":

@@ -68,7 +68,9 @@ class Options:
         folder = self.data or (Path(named) if named else ROOT.parent / "shared" / "data")
         path = folder / "freiburg" / name
         if not path.is_file():
-            raise InputError(f"{path}: no such recorded log; set SLAMMOT_DATA or --data to the folder of them")
+            raise InputError(
+                f"{path}: no such recorded log; set SLAMMOT_DATA or --data to the folder of them"
+            )
         return path
 
     def folder(self, name: str) -> Path:
@@ -129,7 +131,9 @@ def run_cells(
         done = {key: finished[key]["scores"] for key in cells if key in finished}
         strangers = sum(finished[key].get("code") != code for key in done)
         if strangers:
-            say(f"{name}: {strangers} of {len(done)} finished cells are of other code; --fresh computes them anew")
+            say(
+                f"{name}: {strangers} of {len(done)} finished cells are of other code; --fresh computes them anew"
+            )
         advance(len(done))
         todo = {key: cell for key, cell in cells.items() if key not in done}
         with path.open("a", encoding="utf-8") as file:

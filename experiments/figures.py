@@ -27,7 +27,10 @@ def panels(n_rows: int, n_columns: int, size_in: tuple[float, float]) -> tuple["
     from matplotlib.figure import Figure
 
     figure = Figure(
-        figsize=(size_in[0] * n_columns, size_in[1] * n_rows), dpi=DPI, layout="constrained", facecolor="white"
+        figsize=(size_in[0] * n_columns, size_in[1] * n_rows),
+        dpi=DPI,
+        layout="constrained",
+        facecolor="white",
     )
     FigureCanvasAgg(figure)
     axes = figure.subplots(n_rows, n_columns, squeeze=False)
@@ -75,7 +78,7 @@ def draw_ellipses(axes: "Axes", step: StepResult, T_map_base: FloatArray, every:
         color = COLORS["moving" if step.is_moving[k] else "estimate"]
         axes.plot(*points[k], ".", color=color, markersize=3)
         cov = step.point_cov_map[k]
-        if k % every and not step.is_moving[k] or not np.isfinite(cov).all():
+        if (k % every and not step.is_moving[k]) or not np.isfinite(cov).all():
             continue
         values, vectors = np.linalg.eigh(cov)
         width, height = 2.0 * SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))

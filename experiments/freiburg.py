@@ -60,6 +60,9 @@ PUBLISHED: dict[str, tuple[tuple[str, str, str], ...]] = {
 }
 """Published translation [m] and rotation [degrees] errors, by a word in the log's name."""
 
+CODE = code_state()
+"""Of the code that was loaded, which may change on disk while an experiment runs."""
+
 AfterConsider = Callable[[LoopCloser, Submap], tuple[bool, list[str]]]
 
 
@@ -224,7 +227,7 @@ def write_report(
     output = options.output or ROOT / "experiments" / "tables" / f"{name}.md"
     command = f"python -m experiments.{name}{' --quick' if options.quick else ''}{more}"
     origin = provenance(name, Options(quick=options.quick, jobs=1))[1:]
-    head = [f"# {title}", "", *notes, "", f"- Command: `{command}`", *origin, f"- Code: {code_state()}", ""]
+    head = [f"# {title}", "", *notes, "", f"- Command: `{command}`", *origin, f"- Code: {CODE}", ""]
     output.parent.mkdir(parents=True, exist_ok=True)
     text = "\n".join(head) + "\n" + "\n\n".join(table.markdown() for table in tables) + "\n"
     output.write_text(text, encoding="utf-8")
@@ -298,7 +301,7 @@ ERROR_COLUMNS = (
 )
 CLOSING_COLUMNS = (
     "method",
-    "accepted",
+    "closures in the graph",
     "taken back",
     "refused or waiting",
     "farthest from the trajectory [m]",

@@ -117,7 +117,9 @@ def experiment(options: Options) -> None:
         " stands. aces as recorded holds people of its own, which count as false alarms here."
         " p: paired Wilcoxon, two-sided, Holm's correction within a log."
     ]
-    write_tables("moving_points", "Moving points in recorded logs with people injected", notes, tables, options)
+    write_tables(
+        "moving_points", "Moving points in recorded logs with people injected", notes, tables, options
+    )
 
 
 def _labels(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
@@ -138,9 +140,7 @@ def _labels(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
 def _ladder(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
     p_values = holm(
         {
-            f"{a} {b} {labels}": paired_p(
-                column(log, a, f"{labels} iou"), column(log, b, f"{labels} iou")
-            )
+            f"{a} {b} {labels}": paired_p(column(log, a, f"{labels} iou"), column(log, b, f"{labels} iou"))
             for a, b in STEPS_OF_LADDER
             for labels in LABELS
         }
@@ -173,7 +173,9 @@ def _strata(log: str, names: list[str], stratum: Callable[[str, str, str, str], 
         for name in names
     ]
     columns = ["stratum", "of the moving points", *METHODS]
-    return Table(heading=f"{log}: strata, precision / recall / IoU of the final labels", columns=columns, rows=rows)
+    return Table(
+        heading=f"{log}: strata, precision / recall / IoU of the final labels", columns=columns, rows=rows
+    )
 
 
 if __name__ == "__main__":

@@ -104,7 +104,11 @@ def draw_walker_panel(axes, run: Shown, log: SimulatedLog, title: str) -> None: 
     truth = measures.true_positions(log, run.T_map_world)
     axes.plot(*truth.positions.T, ".", color=figures.COLORS["truth"], markersize=3, label="people, truth")
     axes.plot(
-        *run.result.tracks[:, 2:4].T, ".", color=figures.COLORS["moving"], markersize=2, label="people, detected"
+        *run.result.tracks[:, 2:4].T,
+        ".",
+        color=figures.COLORS["moving"],
+        markersize=2,
+        label="people, detected",
     )
     axes.set_title(title, fontsize=9)
 
@@ -130,5 +134,3 @@ def walkers_experiment(name: str, title: str, scenario: str, options: Options) -
         row[-1].legend(fontsize=7, loc="lower right")
     figures.save(figure, name, options)
     table(name, title, scenario, options)
-
-

@@ -41,7 +41,7 @@ def key(scenario: str, walkers: int, rate_hz: float, noise: float, seed: int) ->
 
 
 def experiment(options: Options) -> None:
-    """docpfo against icp over walkers, motion per scan and odometry noise."""
+    """Docpfo against icp over walkers, motion per scan and odometry noise."""
     seeds = options.seed_range(FULL_SEEDS)
     names = ("one-walker",) if options.quick else ("one-walker", "two-walkers")
     grid = [(2, 10.0, 1.0), (2, 5.0, 1.0)] if options.quick else list(product(WALKERS, RATES_HZ, NOISES))
@@ -70,7 +70,14 @@ def experiment(options: Options) -> None:
                 icp, docpfo = ([scores[key(name, *point, s)][m][figure] for s in seeds] for m in METHODS)
                 row.append(_compared(docpfo, icp, p_values[f"{point} {figure}"]))
             rows.append(row)
-        columns = ["walkers", "scans/s", "noise", "beams on people", "recall", *(title for _, title in FIGURES)]
+        columns = [
+            "walkers",
+            "scans/s",
+            "noise",
+            "beams on people",
+            "recall",
+            *(title for _, title in FIGURES),
+        ]
         how = "they stop for good after 60% of the drive" if name == "two-walkers" else "they wander"
         tables.append(Table(heading=f"{name} ({how})", columns=columns, rows=rows))
     notes = [

@@ -33,7 +33,9 @@ class Table:
         return f"## {self.heading}\n\n" + "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def write_tables(name: str, title: str, notes: Sequence[str], tables: Sequence[Table], options: Options) -> Path:
+def write_tables(
+    name: str, title: str, notes: Sequence[str], tables: Sequence[Table], options: Options
+) -> Path:
     """Write ``tables/<name>.md``: title, notes, where it comes from, tables."""
     head = [f"# {title}", "", *notes, "", *provenance(name, options), ""]
     path = options.folder("tables") / f"{name}.md"
@@ -132,5 +134,3 @@ def _revision() -> str:
         )
     except (OSError, subprocess.TimeoutExpired):
         return "unknown"
-
-

@@ -10,7 +10,16 @@ from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, holm, median_interval, number, p_text, paired_p, write_tables
 from slammot_graph.evaluation import evaluate_relations, relative_error
 
-METHODS = ("graph", "graph-fixed", "graph-nofilter", "docpfo", "icp", "odometry", "kiss-icp", "kiss-icp-odometry")
+METHODS = (
+    "graph",
+    "graph-fixed",
+    "graph-nofilter",
+    "docpfo",
+    "icp",
+    "odometry",
+    "kiss-icp",
+    "kiss-icp-odometry",
+)
 BASELINES = ("graph-nofilter", "docpfo", "icp", "odometry", "kiss-icp", "kiss-icp-odometry")
 LOGS = ("intel", "aces")
 SHARES = (0.0, 0.15, 0.35, 0.51)
@@ -122,7 +131,10 @@ def _significance(log: str, shares: Sequence[float], column) -> Table:  # type: 
     rows = []
     corrected = {
         share: holm(
-            {m: paired_p(column(log, share, "graph", FIGURE), column(log, share, m, FIGURE)) for m in BASELINES}
+            {
+                m: paired_p(column(log, share, "graph", FIGURE), column(log, share, m, FIGURE))
+                for m in BASELINES
+            }
         )
         for share in shares
     }

@@ -101,8 +101,8 @@ def _add_hit(
     l_hit: float,
     l_max: float,
 ) -> None:
-    i = (int(math.floor(point[1] * inv_resolution)) - row0) & (log_odds.shape[0] - 1)
-    j = (int(math.floor(point[0] * inv_resolution)) - col0) & (log_odds.shape[1] - 1)
+    i = (math.floor(point[1] * inv_resolution) - row0) & (log_odds.shape[0] - 1)
+    j = (math.floor(point[0] * inv_resolution) - col0) & (log_odds.shape[1] - 1)
     if stamp[i, j] != now:
         value = log_odds[i, j] if stamp[i, j] >= oldest else np.float32(0.0)
         log_odds[i, j] = min(value + l_hit, l_max)
@@ -132,11 +132,11 @@ def _free_line(
     longest = max(abs(dx), abs(dy))
     step_x = dx / longest
     step_y = dy / longest
-    i_end = int(math.floor(y0 + dy))
-    j_end = int(math.floor(x0 + dx))
+    i_end = math.floor(y0 + dy)
+    j_end = math.floor(x0 + dx)
     for m in range(int(start * longest), int(end * longest) + 1):
-        ig = int(math.floor(y0 + step_y * m))
-        jg = int(math.floor(x0 + step_x * m))
+        ig = math.floor(y0 + step_y * m)
+        jg = math.floor(x0 + step_x * m)
         if ig == i_end and jg == j_end:
             break
         i = (ig - row0) & row_mask

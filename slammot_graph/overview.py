@@ -75,7 +75,7 @@ def draw_overview(result: RunResult, path: str | Path) -> None:
     _draw_title(figure, page, result)
     _draw_scale_bar(axes, page)
     _draw_legend(figure, page, handles)
-    canvas.print_png(str(path))
+    canvas.print_png(str(path))  # type: ignore[no-untyped-call]
 
 
 @dataclass(frozen=True, kw_only=True)

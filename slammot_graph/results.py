@@ -169,7 +169,7 @@ def read_points(path: str | Path) -> PointLabels:
     path = Path(path)
     names = ("stamps", "is_valid", "is_moving", "is_moving_online", "p_moving")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             missing = [name for name in names if name not in file]
             if missing:
                 raise InputError(f"{path}: has no array {missing[0]!r}; is it the points.npz of a run?")
@@ -217,7 +217,7 @@ def _pgm(grid: GridMap) -> bytes:
         is_free, is_occupied = grid.p_occupied < FREE_BELOW, grid.p_occupied > OCCUPIED_ABOVE
     grey = np.full(grid.p_occupied.shape, UNKNOWN, dtype=np.uint8)
     grey[is_free], grey[is_occupied] = FREE, OCCUPIED
-    n_rows, n_cols = grey.shape
+    n_rows, n_cols = grid.p_occupied.shape
     return f"P5\n{n_cols} {n_rows}\n255\n".encode("ascii") + np.flipud(grey).tobytes()
 
 

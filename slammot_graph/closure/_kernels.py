@@ -83,8 +83,8 @@ def branch_and_bound(
         for k in range(n):
             x = centre[0] + c * points[k, 0] - s * points[k, 1]
             y = centre[1] + s * points[k, 0] + c * points[k, 1]
-            rows_of[k] = int(math.floor((y - origin_y) * inv_cell))
-            cols_of[k] = int(math.floor((x - origin_x) * inv_cell))
+            rows_of[k] = math.floor((y - origin_y) * inv_cell)
+            cols_of[k] = math.floor((x - origin_x) * inv_cell)
         for b in range(n_blocks * n_blocks):
             di = -n_cells + (b // n_blocks) * width
             dj = -n_cells + (b % n_blocks) * width

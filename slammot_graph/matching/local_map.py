@@ -79,7 +79,7 @@ class Keyframe:
     T_local_base : (3,) array
         Where the local matching placed it.
     points_base, normals_base : (m, 2) arrays
-        Static points and their normals towards the laser, base frame; a normal of (0, 0) for a point that is on no line.
+        Static points and their normals towards the laser, base frame; a normal of (0, 0) on no line.
     laser_base : (2,) array
         Where the laser was, base frame.
     """

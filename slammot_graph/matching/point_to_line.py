@@ -207,7 +207,11 @@ def _judge(
         )
         status = ("converged", "degenerate", "degenerate", "failed")[n_weak]
         if n_weak:
-            reason = "no direction is determined" if n_weak == 3 else f"{n_weak} of 3 directions are not determined"
+            reason = (
+                "no direction is determined"
+                if n_weak == 3
+                else f"{n_weak} of 3 directions are not determined"
+            )
     cov = invert(information + 1e-6 * np.eye(3))
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(

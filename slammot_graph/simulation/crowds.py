@@ -71,7 +71,7 @@ def walk_in_crowd(
     for k, stamp in enumerate(stamps):
         while simulation.elapsed_time() < stamp - stamps[0]:
             simulation.iterate()
-        positions[k] = [simulation.agent(agent).position for agent in ids]
+        positions[k] = np.array([simulation.agent(agent).position for agent in ids]).reshape(-1, 2)
     positions = _aside(positions, T_world_base, keep_off_m)
     dt = np.gradient(stamps) if len(stamps) > 1 else np.ones(1)
     velocities = np.gradient(positions, axis=0) / dt[:, None, None] if len(stamps) > 1 else 0.0 * positions

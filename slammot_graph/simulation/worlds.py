@@ -165,7 +165,7 @@ def _hall() -> World:
     for x in (5.0, 10.0, 15.0):
         segments += _box(x - 0.3, 4.7, x + 0.3, 5.3)
         segments += _round(x, 10.0, 0.35)
-    segments += _turned_box(7.6, 7.4, 1.8, 0.8, 0.3)  # kiosk
+    segments += _turned_box(7.5, 10.2, 1.8, 0.8, 0.3)  # kiosk
     segments += _box(0.0, 6.5, 0.6, 9.0)  # counter
     segments += _turned_box(17.6, 13.2, 1.6, 0.5, -0.6)  # bench
     segments += _turned_box(13.2, 7.8, 0.6, 0.6, 0.5)  # planter
@@ -267,7 +267,7 @@ def _office() -> World:
     segments += below + above
     segments += _box(0.0, low + 0.06, 0.45, low + 0.9)  # cupboard at the corridor's end
     segments += _box(length - 0.3, high - 1.2, length, high - 0.06)
-    segments += _box(13.4, high - 0.4, 14.2, high - 0.06)  # copier
+    segments += _box(19.4, high - 0.4, 20.2, high - 0.06)  # copier
 
     middle = (low + high) / 2 - 0.1
 

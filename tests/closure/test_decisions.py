@@ -11,6 +11,7 @@ from slammot_graph.errors import ConfigError
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
 from slammot_graph.matching import Keyframe, LocalMapConfig
 from slammot_graph.types import FloatArray
+from tests.rooms import errors
 
 STEP_COV = np.diag([0.1, 0.1, 0.02]) ** 2
 COV = np.diag([0.2, 0.2, 0.05]) ** 2
@@ -18,18 +19,32 @@ CLOSURE_COV = np.diag([0.01, 0.01, 0.005]) ** 2
 N_NODES = 60
 
 
-@pytest.fixture
-def closer() -> Iterator[LoopCloser]:
-    """A graph that went 30 m there and back, on odometry."""
+def there_and_back(step_cov: FloatArray) -> LoopCloser:
+    """A graph that went 30 m and came back."""
     graph = PoseGraph(PoseGraphConfig())
     graph.start(np.zeros(3))
     for k in range(1, N_NODES):
         step = np.array([1.0, 0.0, np.pi if k == N_NODES // 2 else 0.0])
         graph.add_node(se2.compose(graph.pose(k - 1), step))
-        graph.add_edge("odometry", k - 1, k, step, np.linalg.inv(STEP_COV))
+        graph.add_edge("odometry", k - 1, k, step, np.linalg.inv(step_cov))
         graph.update()
-    yield LoopCloser(LoopClosureConfig(), LocalMapConfig(), graph)
-    graph.close()
+    return LoopCloser(LoopClosureConfig(), LocalMapConfig(), graph)
+
+
+@pytest.fixture
+def closer() -> Iterator[LoopCloser]:
+    """On odometry alone."""
+    closer = there_and_back(STEP_COV)
+    yield closer
+    closer.graph.close()
+
+
+@pytest.fixture
+def stiff_closer() -> Iterator[LoopCloser]:
+    """On matches."""
+    closer = there_and_back(np.diag([0.01, 0.01, 0.003]) ** 2)
+    yield closer
+    closer.graph.close()
 
 
 def submap(node: int) -> Submap:
@@ -148,8 +163,8 @@ def accept_some(closer: LoopCloser) -> FloatArray:
     return closer.graph.poses()
 
 
-def test_a_closure_that_the_others_contradict_is_taken_back(closer: LoopCloser) -> None:
-    before = accept_some(closer)
+def test_a_closure_that_the_others_contradict_is_taken_back(stiff_closer: LoopCloser) -> None:
+    closer, before = stiff_closer, accept_some(stiff_closer)
     assert decide(closer, 13, 47, (1.0, -2.0, 0.3), cov=25.0 * np.eye(3)) == (True, "accepted")
     assert np.abs(closer.graph.poses() - before).max() > 0.1
     (event,) = closer.take_back()
@@ -158,21 +173,20 @@ def test_a_closure_that_the_others_contradict_is_taken_back(closer: LoopCloser) 
     assert int(event.removeprefix(text)) > closer.config.max_residual2
     assert closures(closer) == [(20, 40), (15, 45), (10, 50), (5, 55)]
     assert [(c.target.anchor, c.source.anchor) for c, _ in closer.accepted] == closures(closer)
-    np.testing.assert_allclose(closer.graph.poses(), before, atol=5e-3)
+    assert max(errors(closer.graph.poses(), before)) < 5e-3
     assert closer.take_back() == []
 
 
-def test_several_wrong_closures_are_taken_back_one_by_one(closer: LoopCloser) -> None:
-    before = accept_some(closer)
+def test_several_wrong_closures_are_taken_back_one_by_one(stiff_closer: LoopCloser) -> None:
+    closer, before = stiff_closer, accept_some(stiff_closer)
     for target, source, moved in ((13, 47, (1.0, -2.0, 0.3)), (7, 53, (-2.0, 1.0, -0.2))):
         assert decide(closer, target, source, moved, cov=25.0 * np.eye(3))[0]
     events = closer.take_back()
     assert sorted(event.split()[1] for event in events) == ["13-47", "7-53"]
-    np.testing.assert_allclose(closer.graph.poses(), before, atol=5e-3)
+    assert max(errors(closer.graph.poses(), before)) < 5e-3
 
 
-def test_a_lone_closure_is_not_taken_back(closer: LoopCloser) -> None:
-    """Only odometry speaks against it, and that has bent."""
+def test_a_closure_that_only_bends_the_odometry_stays(closer: LoopCloser) -> None:
     assert decide(closer, 13, 47, (1.0, -2.0, 0.3), cov=25.0 * np.eye(3))[0]
     assert closer.take_back() == []
     assert closures(closer) == [(13, 47)]

@@ -68,6 +68,7 @@ def test_events_tell_of_each_closure() -> None:
     told = [
         text.split()[1] for _, text in result.events if " accepted" in text and text.startswith("closure")
     ]
+    assert not any("taken back" in text for _, text in result.events)
     edges = [f"{e.from_node}-{e.to_node}" for e in result.edges if e.kind == "closure"]
     assert len(edges) >= 5
     assert sorted(told) == sorted(edges)

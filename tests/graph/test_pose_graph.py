@@ -132,6 +132,42 @@ def test_a_rank_deficient_edge_says_nothing_in_its_weak_direction(graph: PoseGra
     np.testing.assert_allclose(se2.between(step, graph.pose(1)), 0.0, atol=1e-3)
 
 
+def test_an_edge_that_is_taken_out_leaves_no_trace(graph: PoseGraph, rng: np.random.Generator) -> None:
+    fill(graph, rng)
+    edges, poses, marginals = list(graph.edges), graph.poses(), graph.marginals()
+    wrong = []
+    for k in (20, 12):
+        T = se2.compose(se2.between(poses[2], poses[k]), np.array([1.0, -0.7, 0.4]))
+        wrong.append(graph.add_edge("closure", 2, k, T, 10.0 * random_information(rng)))
+        graph.update()
+    assert np.abs(graph.poses() - poses).max() > 0.05
+    graph.remove_edges(wrong)
+    assert [id(edge) for edge in graph.edges] == [id(edge) for edge in edges]
+    for _ in range(3):
+        graph.update()
+    assert errors(graph.poses(), poses) == pytest.approx((0.0, 0.0), abs=1e-3)
+    np.testing.assert_allclose(graph.marginals(), marginals, rtol=0.02, atol=1e-8)
+    # and it goes on from there
+    node = graph.add_node(se2.compose(poses[-1], np.array([0.5, 0.0, 0.0])))
+    graph.add_edge("odometry", node - 1, node, np.array([0.5, 0.0, 0.0]), random_information(rng))
+    graph.update()
+    _, values = batch(graph)
+    assert errors(graph.poses(), gtsam.utilities.extractPose2(values))[0] < 1e-3
+
+
+def test_right_edges_may_be_taken_out_too(graph: PoseGraph, rng: np.random.Generator) -> None:
+    fill(graph, rng)
+    gone = [edge for edge in graph.edges if edge.kind == "closure"][::2]
+    graph.remove_edges(gone)
+    for _ in range(5):
+        graph.update()
+    factors, values = batch(graph)
+    assert errors(graph.poses(), gtsam.utilities.extractPose2(values))[0] < 1e-3
+    marginals = gtsam.Marginals(factors, values)
+    expected = np.array([marginals.marginalCovariance(k) for k in range(len(graph))])
+    np.testing.assert_allclose(graph.marginals(), expected, rtol=0.02, atol=1e-8)
+
+
 def test_nodes_and_edges_are_numbered_and_kept(graph: PoseGraph, rng: np.random.Generator) -> None:
     assert len(graph) == 0
     assert graph.start(np.zeros(3)) == 0

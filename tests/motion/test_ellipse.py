@@ -92,6 +92,94 @@ def test_the_test_stands_back_when_too_much_seems_to_move() -> None:
     np.testing.assert_array_equal(found.reason == reasons.STOOD_BACK, scan.truth.is_moving)  # type: ignore[union-attr]
 
 
+PERSON = [1.0, 2.5, 0.25]
+NEVER_SEEN = OccupancyGrid(GridConfig())
+
+
+def detect_expected(
+    scan: Scan, grid: OccupancyGrid, *expected: list[float], track_reach_m: float = 0.5
+) -> Detection:
+    return detect_moving(
+        scan,
+        scan.is_valid(),
+        POSE,
+        SMALL_COV,
+        grid,
+        MotionConfig(track_reach_m=track_reach_m),
+        ClusterConfig(),
+        np.array(expected).reshape(-1, 2),
+    )
+
+
+def test_on_unknown_cells_a_tracked_person_stays_moving_where_he_is_expected() -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    found = detect_expected(scan, NEVER_SEEN, PERSON[:2], [-9.0, 9.0])
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)  # type: ignore[union-attr]
+    assert (found.reason[found.is_moving] == reasons.TRACKED).all()
+    assert (found.reason[~found.is_moving] == reasons.UNKNOWN).all()
+    assert found.n_clusters == 1
+    np.testing.assert_array_equal(found.p_moving, found.is_moving.astype(float))
+
+
+@pytest.mark.parametrize("place", [[1.0, 1.6], [-0.2, 2.5], [5.0, 5.0]])
+def test_on_unknown_cells_nothing_moves_where_nobody_is_expected(place: list[float]) -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    assert not detect_expected(scan, NEVER_SEEN).is_moving.any()
+    assert not detect_expected(scan, NEVER_SEEN, place).is_moving.any()
+    assert not detect_expected(scan, NEVER_SEEN, PERSON[:2], track_reach_m=0.0).is_moving.any()
+
+
+def test_a_wall_does_not_move_because_somebody_is_expected_before_it() -> None:
+    scan, grid = take_scan(POSE), seen_room()
+    found = detect_expected(scan, grid, [2.0, 4.4], [2.0, -3.9])
+    plain = detect(scan, grid, MotionConfig())
+    is_wall = plain.reason == reasons.OCCUPIED
+    assert is_wall.mean() > 0.8
+    assert not found.is_moving[is_wall].any()
+    np.testing.assert_array_equal(found.reason[is_wall], reasons.OCCUPIED)
+
+
+def test_a_single_beam_moves_where_somebody_is_expected() -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    alone = int(np.flatnonzero(scan.truth.is_moving)[2])  # type: ignore[union-attr]
+    plain, grid = take_scan(POSE), seen_room()
+    plain.ranges[alone] = scan.ranges[alone]
+    assert np.flatnonzero(detect_expected(plain, grid, PERSON[:2]).is_moving).tolist() == [alone]
+    assert not detect_expected(plain, grid, [-2.0, 2.5]).is_moving.any()
+
+
+def test_what_is_too_wide_for_a_person_does_not_move_because_one_is_expected() -> None:
+    scan = take_scan(POSE)
+    found = detect_expected(scan, NEVER_SEEN, [2.0, 4.5], track_reach_m=1.2)  # 2.4 m of the wall
+    assert not found.is_moving.any()
+    assert (found.reason == reasons.DISCARDED).sum() > 10
+
+
+def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    scan.ranges[:5] = np.nan
+    found = detect(scan, seen_room(), MotionConfig())
+    back = found.stand_back()
+    assert found.is_moving.sum() > 5
+    assert not back.is_moving.any()
+    np.testing.assert_array_equal(back.p_moving, np.where(scan.is_valid(), 0.0, np.nan))
+    np.testing.assert_array_equal(back.reason == reasons.STOOD_BACK, found.is_moving)
+    np.testing.assert_array_equal(back.reason[~found.is_moving], found.reason[~found.is_moving])
+    assert (back.cluster == -1).all()
+    assert back.n_clusters == 0
+    np.testing.assert_array_equal(back.packed_cov, found.packed_cov)
+
+
+@pytest.mark.parametrize(("share", "stands_back"), [(0.9, True), (1.1, False)])
+def test_the_share_of_valid_beams_decides_about_standing_back(share: float, stands_back: bool) -> None:
+    scan, grid = take_scan(POSE, discs=[PERSON]), seen_room()
+    scan.ranges[:40] = np.nan  # only beams with a return count
+    found = detect(scan, grid, MotionConfig())
+    limit = share * found.is_moving.sum() / scan.is_valid().sum()
+    again = detect(scan, grid, MotionConfig(stand_back_share=limit))
+    assert again.is_moving.any() != stands_back
+
+
 def test_without_a_test_nothing_moves() -> None:
     found = Detection.nothing(np.array([True, False, True]))
     assert found.is_moving.tolist() == [False, False, False]
@@ -132,6 +220,8 @@ def test_every_reason_has_a_text() -> None:
         ({"n_sigma": 0.0}, "motion.n_sigma must be positive, not 0.0"),
         ({"max_cells": 0}, "motion.max_cells must be at least 1, not 0"),
         ({"margin_cells": -1}, "motion.margin_cells must not be negative, not -1"),
+        ({"track_reach_m": -0.1}, "motion.track_reach_m must not be negative, not -0.1"),
+        ({"stand_back_nis": 0.0}, "motion.stand_back_nis must be positive, not 0.0"),
         ({"stand_back_share": 0.0}, r"motion.stand_back_share must be in \(0, 1\], not 0.0"),
         ({"stand_back_share": 1.1}, r"motion.stand_back_share must be in \(0, 1\], not 1.1"),
     ],

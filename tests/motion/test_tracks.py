@@ -138,6 +138,70 @@ def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
     np.testing.assert_allclose(tracks[0].state[2:], [1.0, 0.5], atol=0.05)
 
 
+def test_who_has_walked_is_expected_where_he_goes() -> None:
+    tracker = Tracker(TrackConfig(min_way_m=1.0))
+    assert tracker.expected(0.0).shape == (0, 2)
+    walked = []
+    for k in range(30):
+        update(tracker, 0.1 * k, at(0.1 * k), np.array([5.0, 5.0]))
+        walked.append(len(tracker.walked()))
+    # 1.12 m/s: a metre after nine or ten scans; who stands is never expected
+    assert walked[:8] == [0] * 8
+    assert walked[11:] == [1] * 19
+    for later_s in (0.0, 0.1, 0.7):
+        np.testing.assert_allclose(tracker.expected(2.9 + later_s), [at(2.9 + later_s)], atol=0.05)
+    # a clock that runs back is no time
+    np.testing.assert_allclose(tracker.expected(-50.0), [at(2.9)], atol=0.05)
+
+
+def test_who_has_walked_and_stands_is_still_expected() -> None:
+    tracker = Tracker(TrackConfig(max_missed_s=0.5))
+    for k in range(60):
+        update(tracker, 0.1 * k, at(min(0.1 * k, 3.0)))
+    np.testing.assert_allclose(tracker.expected(6.0), [at(3.0)], atol=0.05)
+    for k in range(60, 67):
+        update(tracker, 0.1 * k)
+    assert len(tracker.expected(6.7)) == 0
+
+
+def test_what_is_not_confirmed_is_not_expected() -> None:
+    tracker = Tracker(TrackConfig(n_confirm=3, min_way_m=0.1, gate=100.0))
+    for k in range(2):
+        update(tracker, 0.5 * k, at(0.5 * k))
+    assert np.hypot(*tracker.tracks[0].state[:2]) > 0.1
+    assert len(tracker.expected(1.0)) == 0
+    update(tracker, 1.0, at(1.0))
+    assert len(tracker.expected(1.0)) == 1
+
+
+def update_with(tracker: Tracker, stamp_s: float, centre: FloatArray, is_proven: bool) -> list[Track]:
+    return tracker.update(stamp_s, centre[None], np.zeros((1, 2, 2)), [np.arange(3)], np.array([is_proven]))
+
+
+def test_what_no_free_cell_proves_begins_no_track_and_keeps_none_alive() -> None:
+    tracker = Tracker(TrackConfig(max_missed_s=1.0))
+    for k in range(10):
+        assert update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=False) == []
+    assert tracker.tracks == []
+    for k in range(10, 30):
+        update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=True)
+    for k in range(30, 39):
+        (track,) = update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=False)
+        assert track.beams.tolist() == [0, 1, 2]  # it is followed all the same
+        assert track.missed_s == pytest.approx(0.1 * (k - 29))
+        np.testing.assert_allclose(track.state[:2], at(0.1 * k), atol=0.05)
+    for k in range(39, 42):
+        left = update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=False)
+    assert left == tracker.tracks == []
+
+
+def test_one_proof_makes_up_for_the_time_without() -> None:
+    tracker = Tracker(TrackConfig(max_missed_s=1.0))
+    for k in range(60):
+        tracks = update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=k % 9 == 0 or k < 3)
+    assert [track.track_id for track in tracks] == [0]
+
+
 def test_nothing_seen_nothing_tracked() -> None:
     tracker = Tracker(TrackConfig())
     assert update(tracker, 0.0) == []

@@ -190,12 +190,7 @@ def test_a_log_is_read_back_as_it_was_written(lab: SimulatedLog, tmp_path: Path)
     assert [scan.index for scan in lab] == list(range(lab.n_scans))  # it may be read again
 
 
-BLOCKED = pytest.mark.xfail(reason="its route leads through the copier (office), the kiosk (hall)")
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=BLOCKED if name in ("office", "hall") else ()) for name in SCENARIOS]
-)
+@pytest.mark.parametrize("name", list(SCENARIOS))
 def test_the_robot_drives_its_route_through_no_wall(name: str) -> None:
     scenario = replace(SCENARIOS[name], n_people=0, n_laps=1, rate_hz=5.0)
     log, world = simulate(scenario, seed=8), world_named(scenario.world)

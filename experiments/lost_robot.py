@@ -1,0 +1,307 @@
+"""Odometry that jumps once, and a robot that is carried away with its laser covered."""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import say
+from experiments.freiburg import (
+    LoopOptions,
+    WatchedRun,
+    closures_of,
+    command_line,
+    count_events,
+    logs_with_relations,
+    run_watched,
+    write_report,
+)
+from experiments.tables import Table
+from slammot_graph import open_log, se2
+from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.evaluation import absolute_error, evaluate_relations, read_relations
+from slammot_graph.logs import LaserLog, SkippedScan
+from slammot_graph.scan import Scan
+from slammot_graph.simulation import SimulatedLog, simulate
+from slammot_graph.types import FloatArray
+
+JUMP_M = 2.0
+CARRIED_M = 5.0
+N_COVERED = 20
+QUICK_SCANS = 600
+COVERS = {"no return": np.inf, "0.05 m": 0.05}
+"""What a covered laser says [m]; infinite stands for its maximum."""
+
+JUMP_COLUMNS = (
+    "log",
+    "jump",
+    "scans out of in",
+    "failed matches",
+    "lost",
+    "translation error [m]",
+    "without the jump",
+    "largest [m]",
+    "at the end [m]",
+    "closures",
+)
+CARRIED_COLUMNS = (
+    "log",
+    "covered laser says",
+    "carried at scan",
+    "scans out of in",
+    "lost at scan",
+    "first closure old-new after",
+    "closures old-new",
+    "error before, ATE rmse [m]",
+    "error after [m]",
+    "at the end [m]",
+    "[degrees]",
+    "at the end without closures [m]",
+)
+
+
+class JumpedLog:
+    """A log whose odometry jumps once.
+
+    Parameters
+    ----------
+    log : LaserLog
+    at : int
+        The first scan after the jump.
+    T_odom_jump : (3,) array
+        What lies before the odometry from there on.
+    """
+
+    def __init__(self, log: LaserLog, at: int, T_odom_jump: FloatArray) -> None:
+        self.path = Path(f"{log.path} with a jump")
+        self.n_scans = log.n_scans
+        self.skipped: list[SkippedScan] = log.skipped
+        self.warnings: list[str] = log.warnings
+        self._log = log
+        self._at = at
+        self._T_odom_jump = T_odom_jump
+
+    def __iter__(self) -> Iterator[Scan]:
+        for scan in self._log:
+            if scan.index < self._at:
+                yield scan
+            else:
+                yield replace(scan, T_odom_base=se2.compose(self._T_odom_jump, scan.T_odom_base))
+        self.skipped, self.warnings = self._log.skipped, self._log.warnings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Carried:
+    """A log of a robot that was carried away.
+
+    Attributes
+    ----------
+    log : SimulatedLog
+    first_covered, first_after : int
+        Scans: the laser is covered from the one until the other.
+    """
+
+    log: SimulatedLog
+    first_covered: int
+    first_after: int
+
+
+def carry_away(log: SimulatedLog, at: int, covered_m: float) -> Carried:
+    """Cut out the piece after scan `at` in which the robot gets `CARRIED_M` away, and cover the laser meanwhile.
+
+    The wheels do not turn: odometry goes on where it was. Odometry turns of the piece left out are left out too.
+    """
+    away_m = np.hypot(*(log.T_world_base[at:, :2] - log.T_world_base[at, :2]).T)
+    beyond = np.flatnonzero(away_m >= CARRIED_M)
+    if not len(beyond):
+        raise InputError(f"{log.path}: the robot does not get {CARRIED_M} m away after scan {at}")
+    after = at + int(beyond[0])
+    standing = np.full(N_COVERED, at)
+    kept = np.concatenate([np.arange(at + 1), standing, np.arange(after, log.n_scans)])
+    T_odom_base = log.T_odom_base[kept].copy()
+    n_before = at + 1 + N_COVERED
+    T_shift = se2.compose(log.T_odom_base[at], se2.inverse(log.T_odom_base[after]))
+    T_odom_base[n_before:] = se2.compose(T_shift[None, :], T_odom_base[n_before:])
+    ranges = log.ranges[kept].copy()
+    ranges[at + 1 : n_before] = log.laser.range_max if np.isinf(covered_m) else covered_m
+    is_moving, object_id = log.is_moving[kept].copy(), log.object_id[kept].copy()
+    is_moving[at + 1 : n_before], object_id[at + 1 : n_before] = False, -1
+    carried = SimulatedLog(
+        name=f"{log.path} carried",
+        laser=log.laser,
+        stamps=log.stamps[0] + np.median(np.diff(log.stamps)) * np.arange(len(kept)),
+        ranges=ranges,
+        T_odom_base=T_odom_base,
+        T_world_base=log.T_world_base[kept],
+        is_moving=is_moving,
+        object_id=object_id,
+        objects=log.objects[kept],
+    )
+    return Carried(log=carried, first_covered=at + 1, first_after=n_before)
+
+
+def experiment(options: LoopOptions) -> None:
+    """Odometry that jumps by 2 m once; a robot carried 5 m away with its laser covered."""
+    tables = [
+        Table(heading="Odometry jumps by 2 m once", columns=JUMP_COLUMNS, rows=_jumps(options)),
+        Table(
+            heading="Carried 5 m away with the laser covered",
+            columns=CARRIED_COLUMNS,
+            rows=_carried(options.quick),
+        ),
+    ]
+    intro = (
+        f"Jump: from some scan on the odometry lies {JUMP_M:g} m aside. Errors: mean over the relations of a recorded"
+        " log, ATE rmse of a simulated one after planar alignment. Carried: a piece of the log in which the robot"
+        f" gets {CARRIED_M:g} m away is cut out; in its place are {N_COVERED} scans with a covered laser and standing"
+        " odometry. old-new: closures between nodes before and after. `at the end`: error of the last pose with the"
+        " first ones laid onto each other; `error after`: rmse of the poses after, laid onto the truth by those before."
+    )
+    write_report("lost_robot", options, "A lost robot", [intro], tables)
+
+
+def _jumps(options: LoopOptions) -> list[list[str]]:
+    T_jump = np.array([JUMP_M * np.sqrt(0.5), JUMP_M * np.sqrt(0.5), 0.0])
+    office = simulate("lab" if options.quick else "office", seed=0)
+    shares = (0.5,) if options.quick else (0.3, 0.6)
+    rows = [_jump_row(office, share, T_jump, None, _ate(office)) for share in shares]
+    try:
+        found = logs_with_relations(options)
+    except InputError as error:
+        say(f"lost_robot: no recorded logs: {error}")
+        return rows
+    for name, (path, relations_path) in found.items():
+        if name != "intel" and not options.quick:
+            continue
+        relations = read_relations(relations_path)
+        log = open_log(path)
+
+        def score(run: WatchedRun, relations=relations) -> tuple[float, float, float]:  # type: ignore[no-untyped-def]
+            scores = evaluate_relations(run.result.stamps, run.result.T_map_base, relations).translation_m
+            return scores.mean, scores.max, np.nan
+
+        max_scans = QUICK_SCANS if options.quick else None
+        rows += [_jump_row(log, share, T_jump, max_scans, score) for share in shares]
+    return rows
+
+
+Score = Callable[[WatchedRun], tuple[float, float, float]]
+
+
+def _ate(log: SimulatedLog) -> Score:
+    def score(run: WatchedRun) -> tuple[float, float, float]:
+        truth = log.T_world_base[: len(run.result.stamps)]
+        error = absolute_error(run.result.T_map_base, truth).translation_m
+        return error.rmse, error.max, _end_error(run, truth)[0]
+
+    return score
+
+
+def _jump_row(
+    log: LaserLog, share: float, T_jump: FloatArray, max_scans: int | None, score: Score
+) -> list[str]:
+    n_scans = log.n_scans if max_scans is None else min(max_scans, log.n_scans)
+    at = int(share * n_scans)
+    name = log.path.name.split(".")[0]
+    plain = run_watched(log, max_scans=max_scans)
+    try:
+        run = run_watched(JumpedLog(log, at, T_jump), max_scans=max_scans)
+    except SlammotError as error:
+        return [name, f"at scan {at}", f"**failed: {error}**", *["-"] * 7]
+    error, largest, end = score(run)
+    row = [
+        name,
+        f"at scan {at}",
+        f"{len(run.result.stamps)} of {n_scans - run.result.n_skipped}",
+        f"{run.result.n_failed_matches} ({plain.result.n_failed_matches})",
+        f"{count_events(run.result, 'lost:')} ({count_events(plain.result, 'lost:')})",
+        f"{error:.4f}",
+        f"{score(plain)[0]:.4f}",
+        f"{largest:.3f}",
+        "-" if np.isnan(end) else f"{end:.3f}",
+        f"{len(closures_of(run.result))} ({len(closures_of(plain.result))})",
+    ]
+    say(f"lost_robot: {' | '.join(row)}")
+    _tell(run, at)
+    return row
+
+
+def _carried(quick: bool) -> list[list[str]]:
+    rows = []
+    cells = (("office", 1, 0, 0.2),) if quick else CARRIED_CELLS
+    for world, n_laps, seed, share in cells:
+        whole = simulate(world, seed=seed, n_laps=n_laps)
+        for cover, covered_m in list(COVERS.items())[: 1 if quick or seed else None]:
+            carried = carry_away(whole, int(share * whole.n_scans), covered_m)
+            rows.append(_carried_row(f"{world}, {n_laps} laps, seed {seed}", cover, carried))
+    return rows
+
+
+CARRIED_CELLS = (
+    ("office", 2, 0, 0.35),
+    ("office", 2, 1, 0.5),
+    ("hall", 2, 0, 0.3),
+    ("building", 1, 0, 0.3),
+    ("building", 1, 1, 0.5),
+)
+"""World, laps, seed, and where in the log the robot is picked up."""
+
+
+def _carried_row(name: str, cover: str, carried: Carried) -> list[str]:
+    log = carried.log
+    try:
+        run, alone = run_watched(log), run_watched(log, "graph-noloop")
+    except SlammotError as error:
+        return [name, cover, str(carried.first_covered), f"**failed: {error}**", *["-"] * 8]
+    result = run.result
+    node_scans = result.node_scans
+    joining = [
+        edge
+        for edge in closures_of(result)
+        if min(node_scans[[edge.from_node, edge.to_node]]) < carried.first_covered
+        and max(node_scans[[edge.from_node, edge.to_node]]) >= carried.first_after
+    ]
+    lost = [scan for scan, text in result.events if "lost:" in text]
+    n = carried.first_covered
+    before = absolute_error(result.T_map_base[:n], log.T_world_base[:n])
+    laid = se2.compose(before.T_world_map[None, :], result.T_map_base)
+    off_m = np.hypot(*(laid - log.T_world_base)[carried.first_after :, :2].T)
+    end_m, end_deg = _end_error(run, log.T_world_base)
+    first = min((node_scans[edge.to_node] for edge in joining), default=-1)
+    row = [
+        name,
+        cover,
+        str(carried.first_covered),
+        f"{len(result.stamps)} of {log.n_scans}",
+        ", ".join(map(str, lost[:3])) + (f" and {len(lost) - 3} more" if len(lost) > 3 else "")
+        or "**never**",
+        f"{first - carried.first_after} scans" if joining else "**none**",
+        str(len(joining)),
+        f"{before.translation_m.rmse:.3f}",
+        f"{np.sqrt(np.mean(off_m**2)):.3f}",
+        f"{end_m:.3f}",
+        f"{end_deg:.2f}",
+        f"{_end_error(alone, log.T_world_base)[0]:.3f}",
+    ]
+    say(f"lost_robot: {' | '.join(row)}")
+    _tell(run, carried.first_covered)
+    return row
+
+
+def _end_error(run: WatchedRun, truth: FloatArray) -> tuple[float, float]:
+    T = run.result.T_map_base
+    off = se2.between(truth[-1], se2.compose(se2.compose(truth[0], se2.inverse(T[0])), T[-1]))
+    return float(np.hypot(off[0], off[1])), float(np.degrees(abs(off[2])))
+
+
+def _tell(run: WatchedRun, at: int) -> None:
+    """The events just after something happened."""
+    events = [(scan, text) for scan, text in run.result.events if at <= scan < at + 60]
+    for scan, text in events[:6]:
+        say(f"lost_robot:   scan {scan}: {text}")
+
+
+if __name__ == "__main__":
+    sys.exit(command_line(experiment, LoopOptions, None))

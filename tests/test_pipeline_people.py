@@ -1,0 +1,125 @@
+"""People who walk where nothing was seen before, who stand, and poses too doubtful to tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.motion import MotionConfig, TrackConfig, reasons
+from slammot_graph.pipeline import Pipeline, PipelineConfig
+from slammot_graph.result_types import StepResult
+from slammot_graph.types import FloatArray
+from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
+
+# a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
+YARD = np.vstack([[[-6, 4, 0, 4], [-6, -4, -6, 4], [-6, -4, 6, -4], [6, -4, 6, 0]], box(-4, -3, -3, -2)])
+QUIET = replace(PipelineConfig(), free_no_return_m=0.0)  # open space stays unknown
+N_EMPTY = 20
+
+
+def watch(people: FloatArray, config: PipelineConfig) -> list[StepResult]:
+    """A robot that stands in the yard; `people` (n, k, 2), after some scans without."""
+    rng, pipeline, steps = np.random.default_rng(0), Pipeline(config), []
+    nobody = np.full((N_EMPTY, people.shape[1], 2), 99.0)
+    for k, places in enumerate(np.concatenate([nobody, people])):
+        scan = take_scan(
+            np.array([0.0, 0.0, np.pi / 2]),
+            index=k,
+            walls=YARD,
+            discs=[[*place, 0.25] for place in places],
+            noise=rng.normal(0.0, 0.008, LASER.n_beams),
+        )
+        steps.append(pipeline.step(scan))
+    pipeline.close()
+    return steps
+
+
+def recall(steps: list[StepResult], person: int, xs: FloatArray, low: float, high: float) -> float:
+    """Share of a person's beams called moving while he is between two x."""
+    found = seen = 0
+    for step, x in zip(steps[N_EMPTY:], xs, strict=True):
+        if low < x < high:
+            truth = step.scan.truth.object_id == person  # type: ignore[union-attr]
+            seen += truth.sum()
+            found += (truth & step.is_moving).sum()
+    assert seen > 40
+    return found / seen
+
+
+WALK_X = np.arange(-3.0, 3.5, 0.1)
+WALK = np.column_stack([WALK_X, np.full(len(WALK_X), 2.0)])[:, None]
+
+
+def test_who_walks_into_the_unknown_stays_moving() -> None:
+    """As long as the track lives without a free cell to prove it."""
+    for seconds, last_x in ((1.0, 0.9), (3.0, 2.4)):
+        steps = watch(WALK, replace(QUIET, tracks=TrackConfig(max_missed_s=seconds)))
+        assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
+        assert recall(steps, 0, WALK_X, 0.4, last_x) > 0.9
+    told = np.concatenate([step.reason[step.is_moving] for step in steps[-20:]])
+    assert np.mean(told == reasons.TRACKED) > 0.5
+
+
+def test_without_a_reach_nobody_moves_in_the_unknown() -> None:
+    steps = watch(WALK, replace(QUIET, motion=MotionConfig(track_reach_m=0.0)))
+    assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
+    assert recall(steps, 0, WALK_X, 0.4, 0.9) < 0.4
+
+
+def test_who_never_walked_does_not_move() -> None:
+    """He stands in the unknown while another walks by behind him."""
+    still = np.broadcast_to([2.0, 1.2], (len(WALK_X), 1, 2))
+    steps = watch(np.concatenate([WALK, still], axis=1), QUIET)
+    assert recall(steps, 1, WALK_X, -3.1, 1.0) < 0.02
+    assert recall(steps, 1, WALK_X, 1.0, 3.5) < 0.2
+
+
+def test_open_space_that_returned_nothing_counts_as_free() -> None:
+    steps = watch(WALK, replace(QUIET, free_no_return_m=5.0, motion=MotionConfig(track_reach_m=0.0)))
+    assert recall(steps, 0, WALK_X, 0.6, 2.4) > 0.9
+
+
+def test_a_doubtful_pose_calls_nothing_moving() -> None:
+    """The odometry jumps by 0.2 m, and the match says so: far beyond the innovation's covariance."""
+    log, jump = drive(50), np.array([0.2, 0.0, 0.0])
+    before = log.scans[32].T_odom_base
+    T_after_before = se2.compose(before, se2.compose(jump, se2.inverse(before)))
+    log.scans[32:] = [
+        replace(scan, T_odom_base=se2.compose(T_after_before, scan.T_odom_base)) for scan in log.scans[32:]
+    ]
+    found = {}
+    for nis in (50.0, 1e9):
+        config = replace(PipelineConfig(), motion=MotionConfig(stand_back_nis=nis))
+        pipeline = Pipeline(config)
+        found[nis] = [pipeline.step(scan) for scan in log]
+        assert max(errors(truth_from_start(log), pipeline.final().T_map_base)) < 0.03
+        pipeline.close()
+    careful, bold = found[50.0], found[1e9]
+    assert careful[32].innovation_nis > 50.0
+    assert not careful[32].is_moving.any()
+    assert bold[32].is_moving.any()
+    assert all(step.innovation_nis < 50.0 for step in careful[1:32] + careful[33:])
+    for step in [*careful[25:32], *careful[33:38]]:
+        assert step.is_moving.sum() > 5
+
+
+def test_a_failed_match_calls_nothing_moving() -> None:
+    log = drive(50)
+    for scan in log.scans[40:42]:
+        scan.ranges[:] = np.random.default_rng(scan.index).uniform(0.5, 5.0, LASER.n_beams)
+    pipeline = Pipeline(PipelineConfig())
+    steps = [pipeline.step(scan) for scan in log]
+    pipeline.close()
+    for step in steps[40:42]:
+        assert step.match is not None
+        assert step.match.status == "failed"
+        assert not step.is_moving.any()
+        assert (step.reason == reasons.STOOD_BACK).any()
+
+
+@pytest.mark.parametrize("value", [-0.1, float("nan")])
+def test_no_return_needs_a_distance(value: float) -> None:
+    with pytest.raises(ConfigError, match=f"free_no_return_m must not be negative, not {value}"):
+        PipelineConfig(free_no_return_m=value)
