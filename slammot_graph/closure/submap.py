@@ -101,7 +101,9 @@ class PreparedSubmap:
     def __init__(self, submap: Submap) -> None:
         self.submap = submap
         grid = OccupancyGrid(_GRID)
-        for number, (T, keyframe) in enumerate(zip(submap.T_anchor_keyframes, submap.keyframes, strict=True)):
+        for number, (T, keyframe) in enumerate(
+            zip(submap.T_anchor_keyframes[::2], submap.keyframes[::2], strict=True)
+        ):
             ends = se2.transform(T, np.vstack([keyframe.laser_base, keyframe.points_base]))
             all_beams = np.ones(len(ends) - 1, dtype=np.bool_)
             grid.update(number, ends[0], ends[1:], all_beams, all_beams)
