@@ -1,6 +1,8 @@
 """A large building with people in it: drift, closures and their precision and recall against the truth."""
 
 import sys
+from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 
@@ -20,15 +22,15 @@ from experiments.freiburg import (
 from experiments.tables import Table
 from slammot_graph import se2
 from slammot_graph.evaluation import absolute_error
-from slammot_graph.simulation import SimulatedLog, simulate
+from slammot_graph.simulation import SimulatedLog, scenarios, simulate
+from slammot_graph.simulation.worlds import World, world_named
 from slammot_graph.types import FloatArray
 
 NEAR_M, APART_M = 2.0, 8.0
 METHODS = ("graph", "graph-noloop", "odometry")
-CELLS = ((2, 1.0), (2, 3.0), (3, 2.0))
-"""Laps and factor on the odometry's errors."""
+CELLS = ((2, 1.0, 0), (2, 1.0, 1), (2, 3.0, 0), (2, 3.0, 1), (3, 2.0, 0))
+"""Laps, factor on the odometry's errors, seed."""
 
-SEEDS = (0, 1)
 COLUMNS = (
     "laps, odometry noise, seed",
     "method",
@@ -46,6 +48,15 @@ COLUMNS = (
     "loop closing",
     "longest step [CPU ms]",
 )
+
+
+def closed(name: str) -> World:
+    """A world whose route ends where it began; the building's own one would lead the next lap through walls."""
+    world = world_named(name)
+    if name != "building" or np.allclose(world.route[0], world.route[-1]):
+        return world
+    corner = np.array([[world.route[-1, 0], world.route[0, 1]]])
+    return replace(world, route=np.concatenate([world.route, corner, world.route[:1]]))
 
 
 def recall(run: WatchedRun, T_world_nodes: FloatArray) -> tuple[int, int]:
@@ -105,9 +116,10 @@ def row(name: str, method: str, log: SimulatedLog, run: WatchedRun, n_scans: int
 def experiment(options: LoopOptions) -> None:
     """Loops of several hundred metres in a simulated building with people."""
     rows = []
-    cells = (("lab", 1, 1.0, 0),) if options.quick else [("building", *c, s) for c in CELLS for s in SEEDS]
+    cells = (("lab", 1, 1.0, 0),) if options.quick else [("building", *cell) for cell in CELLS]
     for world, n_laps, noise_scale, seed in cells:
-        log = simulate(world, seed=seed, n_laps=n_laps, noise_scale=noise_scale, laser="lms200")
+        with patch.object(scenarios, "world_named", closed):
+            log = simulate(world, seed=seed, n_laps=n_laps, noise_scale=noise_scale, laser="lms200")
         for method in METHODS:
             run = run_watched(log, method)
             name = f"{n_laps} laps, x {noise_scale:g}, {seed}"

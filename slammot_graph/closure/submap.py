@@ -114,7 +114,8 @@ class PreparedSubmap:
         self.origin = seen.origin - margin * CELL_M
         is_point = np.zeros(p.shape, dtype=np.bool_)
         cells = np.floor((points - self.origin) / CELL_M).astype(np.int64)
-        is_point[cells[:, 1], cells[:, 0]] = True
+        inside = (cells >= 0).all(axis=1) & (cells < np.array(p.shape)[::-1]).all(axis=1)
+        is_point[cells[inside, 1], cells[inside, 0]] = True
         is_beside = maximum_filter(is_point, size=3)
         with np.errstate(invalid="ignore"):
             is_free = p < 0.3
