@@ -1,6 +1,6 @@
 """What the pipeline asks of a localizer, and what it gets."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -82,6 +82,11 @@ class Localizer(Protocol):
 def fuse(cov_predicted: FloatArray, match: MatchResult) -> FloatArray:
     """(3, 3) covariance of a prediction and a match taken together."""
     return invert(invert(cov_predicted) + match.information)
+
+
+def refuse(match: MatchResult, T_predicted: FloatArray, reason: str) -> MatchResult:
+    """Call a match failed after all: it tells nothing."""
+    return replace(match, status="failed", information=np.zeros((3, 3)), cov=1e6 * np.eye(3), reason=reason)
 
 
 FIRST_COV: FloatArray = 1e-8 * np.eye(3)

@@ -8,8 +8,8 @@ from slammot_graph import se2
 from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
 from slammot_graph.graph.odometry_noise import OdometryNoise
-from slammot_graph.linalg import invert
-from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse
+from slammot_graph.linalg import invert, mahalanobis2
+from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
 from slammot_graph.matching import (
     LocalMap,
     LocalMapConfig,
@@ -23,6 +23,9 @@ from slammot_graph.types import BoolArray, FloatArray
 
 LOST_STD = (3.0, 3.0, 0.8)
 """Standard deviations [m, m, rad] of the way since the last node when the robot is lost."""
+
+MOST_NIS = 50.0
+"""A single innovation counts for no more than this in the running mean of its normalised square."""
 
 LOST_PATH_M = 20.0
 """Way that a lost robot may have been carried, when it comes to recognising places."""
@@ -74,6 +77,8 @@ class ScanToMap:
         self._T_map_node: FloatArray = se2.IDENTITY
         self._cov_odometry: FloatArray = np.zeros((3, 3))
         self._n_failed = 0
+        self._doubt = 0.0
+        self._is_improbable = False
         self._node_scans: list[int] = []
         self._visits: list[_Visit] = []
 
@@ -97,9 +102,9 @@ class ScanToMap:
 
     def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
-        self._match = None
+        self._match, self._is_improbable = None, False
         if self.local_map.keyframes:
-            self._match, self._T_local_base = match_to_local_map(
+            match, T_local_base = match_to_local_map(
                 points_base,
                 is_static,
                 self._laser_base,
@@ -108,6 +113,15 @@ class ScanToMap:
                 self._cov_relative,
                 self.matching,
             )
+            nis = mahalanobis2(match.innovation, self._cov_relative + match.cov)
+            if match.status == "failed":
+                nis = 0.0
+            self._doubt += 0.1 * (min(nis, MOST_NIS) - self._doubt)
+            self._is_improbable = nis > self.matching.max_nis and self._doubt > self.matching.max_nis
+            if self._is_improbable:
+                match = refuse(match, self._T_local_base, f"improbable, innovation squared {nis:.0f}")
+                T_local_base = self._T_local_base
+            self._match, self._T_local_base = match, T_local_base
             self._cov_relative = fuse(self._cov_relative, self._match)
         return self._estimate(), self._match
 
@@ -118,7 +132,7 @@ class ScanToMap:
         events: list[str] = []
         has_points = np.count_nonzero(is_static) >= self.matching.min_pairs
         if self._match is not None and self._match.status == "failed":
-            self._n_failed += bool(has_points)
+            self._n_failed += bool(has_points and not self._is_improbable)
             events.append(f"match failed: {self._match.reason}")
             if self._n_failed >= self.n_lost:
                 self._leave_local_map()

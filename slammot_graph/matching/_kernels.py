@@ -28,7 +28,8 @@ def estimate_normals(
     """Fill `out` (n, 2) with unit normals from neighbouring beams, towards the laser; (0, 0) on no line.
 
     The neighbours of a beam are up to `half_window` member beams on either side, as long as each is within
-    `max_gap` [m] + `max_gap_slope` times the range of the one before; the points must lie within `max_thickness` [m] of their line.
+    `max_gap` [m] + `max_gap_slope` times the range of the one before; the points must lie within `max_thickness`
+    [m] of their line.
     """
     n = points.shape[0]
     for k in range(n):

@@ -35,6 +35,10 @@ class PointToLineConfig:
     weak_ratio : float
         A direction is weak if its share of the information (scaled to metres, per pair) is below this; it
         carries none into the graph.
+    max_nis : float
+        A match whose normalised innovation squared is above this is refused, but only while its running mean is
+        above it too: then the match keeps contradicting the odometry, as when most of what the laser sees walks
+        with the robot.
     search_m, search_rad : float
         A failed match is tried again from starts this far around the prediction.
     """
@@ -48,11 +52,12 @@ class PointToLineConfig:
     min_pairs: int = 15
     min_inlier_ratio: float = 0.3
     weak_ratio: float = 0.01
+    max_nis: float = 16.0
     search_m: float = 0.25
     search_rad: float = 0.15
 
     def __post_init__(self) -> None:
-        for name in ("residual_std_m", "kernel_scale_m", "min_step_m", "min_step_rad"):
+        for name in ("residual_std_m", "kernel_scale_m", "min_step_m", "min_step_rad", "max_nis"):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"point_to_line.{name} must be positive, not {getattr(self, name)}")
         for name in ("floor_std_m", "weak_ratio", "search_m", "search_rad"):
