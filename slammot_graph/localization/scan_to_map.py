@@ -24,6 +24,9 @@ from slammot_graph.types import BoolArray, FloatArray
 LOST_STD = (3.0, 3.0, 0.8)
 """Standard deviations [m, m, rad] of the way since the last node when the robot is lost."""
 
+JUMP_INLIERS, JUMP_NIS = 0.6, 45.0
+"""A match with fewer inliers and a larger normalised innovation squared is tried again without the odometry."""
+
 MOST_NIS = 50.0
 """A single innovation counts for no more than this in the running mean of its normalised square."""
 
@@ -66,6 +69,7 @@ class ScanToMap:
         self._n_submaps = 0
         self._path_m = 0.0
         self._T_local_base: FloatArray = se2.IDENTITY
+        self._T_local_before: FloatArray = se2.IDENTITY
         self._cov_relative: FloatArray = FIRST_COV
         self._cov_anchor: FloatArray = FIRST_COV
         self._T_odom_base: FloatArray | None = None
@@ -89,6 +93,7 @@ class ScanToMap:
 
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
+        self._T_local_before = self._T_local_base
         if self._T_odom_base is not None:
             increment = se2.between(self._T_odom_base, scan.T_odom_base)
             cov = self.noise.covariance(increment)
@@ -104,18 +109,13 @@ class ScanToMap:
         """See `Localizer`."""
         self._match, self._is_improbable = None, False
         if self.local_map.keyframes:
-            match, T_local_base = match_to_local_map(
-                points_base,
-                is_static,
-                self._laser_base,
-                self.local_map,
-                self._T_local_base,
-                self._cov_relative,
-                self.matching,
+            match, T_local_base = self._match_from(
+                points_base, is_static, self._T_local_base, self._cov_relative
             )
-            nis = mahalanobis2(match.innovation, self._cov_relative + match.cov)
-            if match.status == "failed":
-                nis = 0.0
+            nis = self._innovation2(match)
+            if match.status == "failed" or (match.inlier_ratio < JUMP_INLIERS and nis > JUMP_NIS):
+                second = self._match_without_odometry(points_base, is_static, match)
+                match, T_local_base = second or (match, T_local_base)
             self._doubt += 0.1 * (min(nis, MOST_NIS) - self._doubt)
             self._is_improbable = nis > self.matching.max_nis and self._doubt > self.matching.max_nis
             if self._is_improbable:
@@ -124,6 +124,37 @@ class ScanToMap:
             self._match, self._T_local_base = match, T_local_base
             self._cov_relative = fuse(self._cov_relative, self._match)
         return self._estimate(), self._match
+
+    def _match_from(
+        self, points_base: FloatArray, is_static: BoolArray, T_local_base: FloatArray, cov: FloatArray
+    ) -> tuple[MatchResult, FloatArray]:
+        return match_to_local_map(
+            points_base, is_static, self._laser_base, self.local_map, T_local_base, cov, self.matching
+        )
+
+    def _innovation2(self, match: MatchResult) -> float:
+        """Normalised square of the innovation; 0 for a failed match."""
+        if match.status == "failed":
+            return 0.0
+        return mahalanobis2(match.innovation, self._cov_relative + match.cov)
+
+    def _match_without_odometry(
+        self, points_base: FloatArray, is_static: BoolArray, doubtful: MatchResult
+    ) -> tuple[MatchResult, FloatArray] | None:
+        """Match again from where the robot was before, in case it is the odometry that jumped.
+
+        Where that is clearly better, the increment's covariance grows to `LOST_STD`; where not, None.
+        """
+        wide = np.diag(np.square(LOST_STD))
+        match, T_local_base = self._match_from(points_base, is_static, self._T_local_before, wide)
+        needed = (
+            JUMP_INLIERS if doubtful.status == "failed" else max(JUMP_INLIERS, doubtful.inlier_ratio + 0.15)
+        )
+        if match.status != "failed" and match.inlier_ratio > needed:
+            self._cov_odometry = self._cov_odometry + wide
+            self._cov_relative = wide
+            return match, T_local_base
+        return None
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray

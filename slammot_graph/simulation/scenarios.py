@@ -10,6 +10,7 @@ from slammot_graph.simulation.log import SimulatedLog
 from slammot_graph.simulation.people import PeopleConfig, circles, walk
 from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
 from slammot_graph.simulation.worlds import world_named
+from slammot_graph.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +117,7 @@ def simulate(
     scanner = laser_named(chosen.laser).at_rate(chosen.rate_hz)
     streams = np.random.default_rng(seed).spawn(4)
     period_s = 1.0 / scanner.rate_hz
-    route = np.concatenate([world.route] + [world.route[1:]] * (chosen.n_laps - 1))
+    route = _laps(world.route, chosen.n_laps)
     T_world_base = drive(route, chosen.drive, period_s, streams[0])
     stamps = period_s * np.arange(len(T_world_base), dtype=np.float64)
     T_odom_base, _ = simulate_odometry(T_world_base, chosen.odometry, streams[1], noise_scale=noise_scale)
@@ -136,3 +137,10 @@ def simulate(
         object_id=object_id,
         objects=objects,
     )
+
+
+def _laps(route: FloatArray, n_laps: int) -> FloatArray:
+    """Drive a route several times; one that ends elsewhere is driven back and forth."""
+    is_closed = np.hypot(*(route[0] - route[-1])) < 3.0
+    laps = [route if is_closed or lap % 2 == 0 else route[::-1] for lap in range(n_laps)]
+    return np.concatenate([laps[0], *(lap[1:] for lap in laps[1:])])
