@@ -7,7 +7,7 @@ from experiments.paper import walkers_experiment
 
 
 def experiment(options: Options) -> None:
-    """Two walkers who stop before the robot does in the lab: map, trajectory and the walkers' positions for icp, docpfo and graph."""
+    """Map, trajectory and the walkers' positions for icp, docpfo and graph."""
     name = "paper_two_walkers"
     walkers_experiment(
         name, "Two walkers who stop before the robot does (the paper's Fig. 7 and 8)", "two-walkers", options

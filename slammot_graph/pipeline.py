@@ -72,8 +72,8 @@ class PipelineConfig:
         After this many failed matches in a row a new local map is started.
     constant_noise : ConstantNoise
         The paper's R_r, for `test_covariance` "constant".
-    odometry_noise : OdometryNoise
-        R_r of the odometry factors and of the prediction.
+    odometry_noise : OdometryNoise or ConstantNoise
+        R_r of the odometry factors and of the prediction: growing with the motion, or constant as in the paper.
     close_loops : bool
         Look for loops ("scan-to-map" only).
     grid : GridConfig
@@ -95,7 +95,7 @@ class PipelineConfig:
     n_window_keyframes: int = 60
     n_lost: int = 5
     constant_noise: ConstantNoise = field(default_factory=ConstantNoise)
-    odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
+    odometry_noise: OdometryNoise | ConstantNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
     local_grid: GridConfig = field(default_factory=lambda: GridConfig(resolution_m=0.1, p_free=0.1))
     motion: MotionConfig = field(default_factory=MotionConfig)

@@ -10,6 +10,7 @@ from slammot_graph import se2
 from slammot_graph.baselines import KissIcpConfig, KissIcpPipeline
 from slammot_graph.config import to_plain
 from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs import LaserLog
 from slammot_graph.methods import Config, get_method
 from slammot_graph.pipeline import Pipeline
@@ -59,6 +60,7 @@ class Run:
         self.pipeline = make_pipeline(self.config)
         self.is_complete = False
         self._kept = _Kept()
+        self._final: FinalEstimate | None = None
 
     def __iter__(self) -> Iterator[StepResult]:
         """Run the log through; each scan's result comes as soon as it is there.
@@ -106,6 +108,8 @@ class Run:
     def result(self) -> RunResult:
         """Give the result of all scans so far; call it after the iteration has ended, early or not."""
         kept, final = self._kept, self._final
+        if final is None:
+            raise SlammotError("no result: the run has not been iterated, or its pose graph failed")
         n = len(kept.stamps)
         online = _padded(kept.is_moving)
         is_moving = online if self._final_labels is None else _padded(self._final_labels)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from slammot_graph import se2
-from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate
 from slammot_graph.result_types import MatchResult
 from slammot_graph.scan import Scan
@@ -15,7 +15,7 @@ class DeadReckoning:
 
     T_map_local = se2.IDENTITY
 
-    def __init__(self, noise: OdometryNoise) -> None:
+    def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise
         self._T_odom_base: FloatArray | None = None
         self.estimate = Estimate(T_local_base=se2.IDENTITY, cov_relative=FIRST_COV, cov_absolute=FIRST_COV)

@@ -7,7 +7,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
-from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.linalg import invert, mahalanobis2
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
 from slammot_graph.matching import (
@@ -53,7 +53,7 @@ class ScanToMap:
 
     def __init__(
         self,
-        noise: OdometryNoise,
+        noise: OdometryNoise | ConstantNoise,
         local_map: LocalMapConfig,
         matching: PointToLineConfig,
         graph: PoseGraphConfig,

@@ -1,7 +1,7 @@
 """The paper's localization: each scan matched onto the static points of the one before."""
 
 from slammot_graph import se2
-from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.localization.localizer import Estimate
 from slammot_graph.matching import PointToPointConfig, match_scans
@@ -13,7 +13,7 @@ from slammot_graph.types import BoolArray, FloatArray
 class ScanToScan(DeadReckoning):
     """Dead reckoning whose increments come from point-to-point ICP, started at the odometry's."""
 
-    def __init__(self, noise: OdometryNoise, config: PointToPointConfig) -> None:
+    def __init__(self, noise: OdometryNoise | ConstantNoise, config: PointToPointConfig) -> None:
         super().__init__(noise)
         self.config = config
         self._before: Estimate = self.estimate

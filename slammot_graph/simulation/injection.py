@@ -57,6 +57,8 @@ def inject(
         A negative number of people.
     """
     config = people or PeopleConfig()
+    if seed < 0:
+        raise ConfigError(f"the seed must not be negative, not {seed}")
     if n_people < 0:
         raise ConfigError(f"the number of people must not be negative, not {n_people}")
     base = _Base(log, T_map_base, max_scans)
@@ -85,6 +87,8 @@ def inject_along(
     """
     if not 0.0 <= share < 1.0:
         raise ConfigError(f"the share of beams must be in [0, 1), not {share}")
+    if seed < 0:
+        raise ConfigError(f"the seed must not be negative, not {seed}")
     config = PeopleConfig(behaviour="along", shape="cylinder")
     base = _Base(log, T_map_base, max_scans)
     is_valid = base.ranges < 0.97 * base.laser.range_max
@@ -103,6 +107,8 @@ class _Base:
     """The recorded scans, and their reference trajectory."""
 
     def __init__(self, log: LaserLog, T_map_base: FloatArray, max_scans: int | None) -> None:
+        if max_scans is not None and max_scans < 1:
+            raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
         scans: list[Scan] = []
         for scan in log:
             if max_scans is not None and len(scans) == max_scans:
@@ -149,7 +155,9 @@ class _Base:
             T_odom_base=self.T_odom_base,
             T_world_base=self.T_map_base,
             is_moving=is_moving,
-            object_id=np.where(is_moving, person[hit] if len(person) else -1, -1),
+            object_id=np.where(is_moving, person[np.maximum(hit, 0)], -1)
+            if len(person)
+            else np.full_like(hit, -1),
             objects=objects,
         )
 

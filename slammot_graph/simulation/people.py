@@ -1,7 +1,7 @@
 """People who walk, stop, cross and accompany the robot: their paths, and what the laser sees of them."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -59,6 +59,11 @@ class PeopleConfig:
     along_max_m: float = 2.4
 
     def __post_init__(self) -> None:
+        for name, kind in (("behaviour", Behaviour), ("shape", Shape)):
+            if getattr(self, name) not in get_args(kind):
+                raise ConfigError(
+                    f'people.{name} must be one of {get_args(kind)}, not "{getattr(self, name)}"'
+                )
         if not 0.0 < self.speed_min_m_s <= self.speed_max_m_s:
             raise ConfigError("people need 0 < speed_min_m_s <= speed_max_m_s")
         if not 0.0 <= self.pause_min_s <= self.pause_max_s:

@@ -109,9 +109,9 @@ def simulate(
     chosen = replace(
         chosen,
         n_people=chosen.n_people if n_people is None else n_people,
-        laser=laser or chosen.laser,
-        rate_hz=rate_hz or chosen.rate_hz,
-        n_laps=n_laps or chosen.n_laps,
+        laser=chosen.laser if laser is None else laser,
+        rate_hz=chosen.rate_hz if rate_hz is None else rate_hz,
+        n_laps=chosen.n_laps if n_laps is None else n_laps,
     )
     world = world_named(chosen.world)
     scanner = laser_named(chosen.laser).at_rate(chosen.rate_hz)
@@ -125,7 +125,9 @@ def simulate(
     shapes, person = circles(objects, stamps, chosen.people)
     ranges, hits = measure(T_world_base, scanner, world.segments, shapes, streams[3])
     is_moving = hits >= 0
-    object_id = np.where(is_moving, person[hits] if len(person) else -1, -1)
+    object_id = (
+        np.where(is_moving, person[np.maximum(hits, 0)], -1) if len(person) else np.full_like(hits, -1)
+    )
     return SimulatedLog(
         name=chosen.name,
         laser=scanner.model,

@@ -313,7 +313,6 @@ def _building() -> World:
         segments += rooms
         rooms, doors[f"inner north {k}"] = _rooms(a, b, high, high - 5.0, 3, rng)
         segments += rooms
-        segments += _box(a, low, b, high) if False else []
         segments += [(a, low, a, high), (b, low, b, high)]
         segments += [(a, low + 5.0, b, low + 5.0), (a, high - 5.0, b, high - 5.0)]
     c = corridor / 2
