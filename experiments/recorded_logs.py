@@ -1,91 +1,140 @@
-"""Recorded logs, their reference trajectories, and the same logs with people injected."""
+"""Recorded logs from one end to the other, with the defaults: the table `experiments/tables/recorded_logs.md`.
 
+Run as ``python -m experiments.recorded_logs [--data DIR]``; the logs lie in $SLAMMOT_DATA, else in ../shared/data.
+"""
+
+import os
+import resource
+import sys
+import time
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import tyro
+from rosbags.highlevel import AnyReader
 
-from experiments.common import Options, code_state, say
-from slammot_graph import Run, open_log
-from slammot_graph.evaluation import Relations, read_relations
-from slammot_graph.result_types import GridMap
-from slammot_graph.simulation import SimulatedLog, inject, inject_along
-from slammot_graph.types import FloatArray
+from slammot_graph import Run, open_log, se2
+from slammot_graph.evaluation import evaluate_relations, read_relations
+from slammot_graph.result_types import RunResult
+
+TABLE = Path(__file__).parent / "tables" / "recorded_logs.md"
+METHODS = ("graph", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")
+WALKERS = range(1, 7)
+"""Ids of the labelled persons who walk; the others stand."""
+LOGS = {
+    "intel": ("freiburg/intel.clf.bz2", "freiburg/intel.relations", None),
+    "aces": ("freiburg/aces.clf.bz2", "freiburg/aces.relations", None),
+    "fr-clinic": ("freiburg/fr-clinic_robotlaser.clf.bz2", None, None),
+    "wheelchair": ("bags/general_tracking_moving_1.bag", None, None),
+    "wheelchair, mcap": ("bags/general_tracking_moving_1_mcap", None, None),
+    "overtakes": ("bags/overtakes_sqlite3", None, "/ego_pose"),
+}
+HEAD = (
+    "log",
+    "method",
+    "scans",
+    "relations within 60 s, mean / median [m]",
+    "all relations [m]",
+    "rotation [degrees]",
+    "failed matches",
+    "closures",
+    "ms a scan, median / p95",
+    "CPU [s]",
+)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reference:
-    """What a `graph` run over the log as recorded says."""
+@dataclass(frozen=True)
+class Arguments:
+    """Command line."""
 
-    stamps: FloatArray
-    T_map_base: FloatArray
-    grid: GridMap
+    data: Path = Path(os.environ.get("SLAMMOT_DATA", "../shared/data"))
+    output: Path = TABLE
+    methods: tuple[str, ...] = METHODS
+    logs: tuple[str, ...] = tuple(LOGS)
 
 
-def make_reference(name: str, options: Options, max_scans: int | None = None) -> str:
-    """Run `graph` over a log as recorded, unless that was done by this very code; return the file's path.
+def relation_cells(result: RunResult, relations: Path | None) -> list[str]:
+    """Translation error within 60 s (mean, median) and over all relations; rotation over all."""
+    if relations is None:
+        return ["-", "-", "-"]
+    truth = read_relations(relations)
+    near = evaluate_relations(result.stamps, result.T_map_base, truth, max_duration_s=60.0)
+    every = evaluate_relations(result.stamps, result.T_map_base, truth)
+    return [
+        f"{near.translation_m.mean:.4f} / {near.translation_m.median:.4f}",
+        f"{every.translation_m.mean:.4f} +- {every.translation_m.std:.4f}",
+        f"{every.rotation_deg.mean:.3f}",
+    ]
 
-    Parameters
-    ----------
-    name : str
-        "intel" or "aces".
-    options : Options
-    max_scans : int, optional
-        Only the log's first ones.
+
+def person_shares(bag: Path, result: RunResult) -> str:
+    """Tell how many person labels of the wheelchair bag have a moving point within 0.5 m.
+
+    A label belongs to the last scan before it by recording time, and is given in the laser's frame.
     """
-    log = open_log(options.recorded(f"{name}.clf.bz2"))
-    part = "whole" if max_scans is None else str(max_scans)
-    path = options.folder("results") / f"reference-{name}-{part}-{code_state()}.npz"
-    if path.exists():
-        return str(path)
-    say(f"{name}: making the reference trajectory with graph ({part})")
-    run = Run(log, "graph")
-    steps = iter(run)
-    for n, _ in enumerate(steps, start=1):
-        if n == max_scans:
-            break
-    steps.close()  # type: ignore[attr-defined]
-    result = run.result()
-    unfinished = path.with_suffix(".part")
-    with unfinished.open("wb") as file:
-        np.savez(
-            file,
-            stamps=result.stamps,
-            T_map_base=result.T_map_base,
-            p_occupied=result.grid.p_occupied,
-            resolution_m=result.grid.resolution_m,
-            origin=result.grid.origin,
-        )
-    unfinished.rename(path)
-    return str(path)
+    scans = list(open_log(bag))
+    by_stamp = {round(scan.stamp, 6): k for k, scan in enumerate(scans)}
+    found: list[tuple[int, bool]] = []
+    last = None
+    with AnyReader([bag]) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.msgtype.endswith("LaserScan"):
+                stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+                last = by_stamp.get(round(stamp.sec + 1e-9 * stamp.nanosec, 6), last)
+            elif connection.topic == "/ground_truth_people_tracks" and last is not None:
+                message = reader.deserialize(raw, connection.msgtype)
+                scan = scans[last]
+                place = np.array([[message.pose.position.x, message.pose.position.y]])
+                person = se2.transform(np.array(scan.laser.T_base_laser), place)[0]
+                points = scan.points_base()[result.is_moving_online[last][: len(scan.ranges)]]
+                near = bool(len(points)) and bool(np.hypot(*(points - person).T).min() < 0.5)
+                found.append((message.id, near))
+    walkers = [near for person_id, near in found if person_id in WALKERS]
+    return (
+        f"wheelchair: {sum(near for _, near in found)} of {len(found)} person labels have a moving point within "
+        f"0.5 m; of those of persons who walk, {sum(walkers)} of {len(walkers)}."
+    )
 
 
-@lru_cache(maxsize=2)
-def read_reference(path: str) -> Reference:
-    """Read what `make_reference` wrote."""
-    with np.load(path) as data:
-        grid = GridMap(
-            p_occupied=data["p_occupied"], resolution_m=float(data["resolution_m"]), origin=data["origin"]
-        )
-        return Reference(stamps=data["stamps"], T_map_base=data["T_map_base"], grid=grid)
+def main(arguments: Arguments) -> None:
+    """Write the table."""
+    rows, notes = [], []
+    for name in arguments.logs:
+        path, relations, odom_topic = LOGS[name]
+        for method in arguments.methods:
+            start = time.process_time()
+            result = Run(open_log(arguments.data / path, odom_topic=odom_topic), method).complete()
+            cpu_s = time.process_time() - start
+            step = result.stage_ms["step"]
+            rows.append(
+                [
+                    name,
+                    method,
+                    str(len(result.stamps)),
+                    *relation_cells(result, arguments.data / relations if relations else None),
+                    str(result.n_failed_matches),
+                    str(sum(edge.kind == "closure" for edge in result.edges)),
+                    f"{np.median(step):.2f} / {np.percentile(step, 95):.2f}",
+                    f"{cpu_s:.1f}",
+                ]
+            )
+            if name == "wheelchair" and method == "graph":
+                notes.append(person_shares(arguments.data / path, result))
+            print(" | ".join(rows[-1]), file=sys.stderr)
+    lines = [
+        "# Recorded logs",
+        "",
+        "`python -m experiments.recorded_logs` on two shared cores of an AMD EPYC.",
+        "",
+    ]
+    lines += ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    lines += ["", *notes, "", f"Peak memory of the whole table, one process: {memory_mb:.0f} MB."]
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    arguments.output.write_text("\n".join(lines) + "\n")
 
 
-@lru_cache(maxsize=1)
-def with_walkers(log: str, reference: str, n_people: int, seed: int, max_scans: int) -> SimulatedLog:
-    """A recorded log's first scans, with people who wander about; the last one asked for is kept."""
-    T_map_base = read_reference(reference).T_map_base
-    return inject(open_log(log), T_map_base, n_people=n_people, seed=seed, max_scans=max_scans)
-
-
-@lru_cache(maxsize=1)
-def with_company(log: str, reference: str, share: float, seed: int, max_scans: int) -> SimulatedLog:
-    """A recorded log's first scans, with people who walk with the robot; the last one asked for is kept."""
-    T_map_base = read_reference(reference).T_map_base
-    return inject_along(open_log(log), T_map_base, share=share, seed=seed, max_scans=max_scans)
-
-
-def relations_of(log: str) -> Relations:
-    """Read the true relations beside a log."""
-    path = Path(log)
-    return read_relations(path.with_name(path.name.removesuffix(".clf.bz2") + ".relations"))
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
