@@ -111,7 +111,7 @@ def walk(
     """
     if n_people < 0:
         raise ConfigError(f"the number of people must not be negative, not {n_people}")
-    if config.behaviour == "crowd":
+    if config.behaviour == "crowd" and n_people > 0:
         speeds_m_s = (config.speed_min_m_s, config.speed_max_m_s)
         return walk_in_crowd(free_space, stamps, T_world_base, n_people, speeds_m_s, config.keep_off_m, rng)
     out = np.full((len(stamps), n_people, 4), np.nan)
