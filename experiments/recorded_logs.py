@@ -4,7 +4,6 @@ Run as ``python -m experiments.recorded_logs [--data DIR]``; the logs lie in $SL
 """
 
 import os
-import resource
 import sys
 import time
 from dataclasses import dataclass
@@ -130,8 +129,7 @@ def main(arguments: Arguments) -> None:
     ]
     lines += ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     lines += ["| " + " | ".join(row) + " |" for row in rows]
-    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    lines += ["", *notes, "", f"Peak memory of the whole table, one process: {memory_mb:.0f} MB."]
+    lines += ["", *notes]
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     arguments.output.write_text("\n".join(lines) + "\n")
 
