@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from slammot_graph.baselines import KissIcpConfig
 from slammot_graph.errors import ConfigError
 from slammot_graph.grid import GridConfig
-from slammot_graph.motion import MotionConfig
+from slammot_graph.motion import AfterimageConfig, ClusterConfig, MotionConfig
 from slammot_graph.pipeline import PipelineConfig
 
 Config = PipelineConfig | KissIcpConfig
@@ -28,6 +28,8 @@ _ICP = PipelineConfig(
     hindsight=False,
     occupy_with_moving=True,
     motion=MotionConfig(margin_cells=0, track_reach_m=0.0),
+    clusters=ClusterConfig(split_gap_m=0.0),
+    afterimage=AfterimageConfig(reach_m=0.0),
     grid=GridConfig(fill_gaps=False),
 )
 _DOCPFO = replace(_ICP, filter_moving=True, test_covariance="constant")

@@ -23,6 +23,8 @@ from slammot_graph.localization import (
 )
 from slammot_graph.matching import LocalMapConfig, PointToLineConfig, PointToPointConfig
 from slammot_graph.motion import (
+    Afterimage,
+    AfterimageConfig,
     ClusterConfig,
     Detection,
     MotionConfig,
@@ -36,6 +38,9 @@ from slammot_graph.result_types import GridMap, MatchResult, StepResult, TrackSt
 from slammot_graph.scan import Scan
 from slammot_graph.stopwatch import Stopwatch
 from slammot_graph.types import BoolArray, FloatArray
+
+LEAST_KERNEL_FACTOR = 0.4
+"""In a crowd the match's kernel gets narrower, down to this share of its scale."""
 
 MIN_NO_RETURN_RUN = 25
 """Neighbouring beams without a return that are taken for open space."""
@@ -58,6 +63,9 @@ class PipelineConfig:
         or its absolute marginal.
     judge_again : bool
         Repeat the test at the matched pose before the map is updated.
+    crowd_share : float
+        Where more than this share of a scan moves, it is matched once more with a narrower kernel, without
+        what the test at the matched pose calls moving; 1: never.
     hindsight : bool
         Judge every scan again after the run, with what was seen later.
     occupy_with_moving : bool
@@ -80,7 +88,7 @@ class PipelineConfig:
         Of the map, and of the test where there is no local map.
     local_grid : GridConfig
         Of the test ("scan-to-map" only).
-    motion, clusters, tracks, local_map, point_to_line, point_to_point, graph, closure
+    motion, clusters, tracks, afterimage, local_map, point_to_line, point_to_point, graph, closure
         Configuration of the stages.
     """
 
@@ -88,6 +96,7 @@ class PipelineConfig:
     filter_moving: bool = True
     test_covariance: TestCovariance = "relative"
     judge_again: bool = True
+    crowd_share: float = 0.15
     hindsight: bool = True
     occupy_with_moving: bool = False
     max_range_m: float = 40.0
@@ -97,10 +106,13 @@ class PipelineConfig:
     constant_noise: ConstantNoise = field(default_factory=ConstantNoise)
     odometry_noise: OdometryNoise | ConstantNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
-    local_grid: GridConfig = field(default_factory=lambda: GridConfig(resolution_m=0.1, p_free=0.1))
+    local_grid: GridConfig = field(
+        default_factory=lambda: GridConfig(resolution_m=0.1, p_hit=0.75, p_free=0.12)
+    )
     motion: MotionConfig = field(default_factory=MotionConfig)
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     tracks: TrackConfig = field(default_factory=TrackConfig)
+    afterimage: AfterimageConfig = field(default_factory=AfterimageConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
     point_to_point: PointToPointConfig = field(default_factory=PointToPointConfig)
@@ -114,6 +126,8 @@ class PipelineConfig:
                 raise ConfigError(f'{name} must be one of {get_args(kind)}, not "{getattr(self, name)}"')
         if not self.max_range_m > 0.0:
             raise ConfigError(f"max_range_m must be positive, not {self.max_range_m}")
+        if not 0.0 <= self.crowd_share <= 1.0:
+            raise ConfigError(f"crowd_share must be in [0, 1], not {self.crowd_share}")
         if not self.free_no_return_m >= 0.0:
             raise ConfigError(f"free_no_return_m must not be negative, not {self.free_no_return_m}")
         if self.n_window_keyframes < 1 or self.n_lost < 1:
@@ -156,6 +170,7 @@ class Pipeline:
         grid = config.grid if window_m is None else config.local_grid
         self.grid = OccupancyGrid(grid, window_m=window_m)
         self._node_views: list[_View] = []
+        self.afterimage = Afterimage(config.afterimage)
         self._judged: list[Judged] = []
         self._stopwatch = Stopwatch()
 
@@ -171,11 +186,19 @@ class Pipeline:
             detection = self._detect(scan, is_valid, predicted)
         with watch.stage("match"):
             matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
-            nis = _innovation_nis(predicted, match)
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
-                is_doubtful = match.status == "failed" or nis > self.config.motion.stand_back_nis
-                detection = detection.stand_back() if is_doubtful else self._detect(scan, is_valid, matched)
+                detection = self._judge(scan, is_valid, predicted, detection, matched, match)
+            share = detection.is_moving.sum() / max(int(is_valid.sum()), 1)
+            if share > self.config.crowd_share:
+                with watch.stage("match"):
+                    factor = max((1.0 - share) ** 2, LEAST_KERNEL_FACTOR)
+                    matched, match = self.localizer.match(
+                        points_base, is_valid & ~detection.is_moving, factor
+                    )
+                with watch.stage("detect"):
+                    detection = self._judge(scan, is_valid, predicted, detection, matched, match)
+        nis = _innovation_nis(predicted, match)
         is_static = is_valid & ~detection.is_moving
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)
@@ -184,6 +207,7 @@ class Pipeline:
         with watch.stage("objects"):
             tracks = self._track(scan, detection, matched)
         self._remember(scan, is_valid, detection, matched)
+        self.afterimage.remember(scan, matched.T_local_base, is_valid)
         T_map_local = self.localizer.T_map_local
         return StepResult(
             scan=scan,
@@ -249,6 +273,25 @@ class Pipeline:
             return estimate.cov_absolute
         return estimate.cov_relative
 
+    def _judge(
+        self,
+        scan: Scan,
+        is_valid: BoolArray,
+        predicted: Estimate,
+        detection: Detection,
+        matched: Estimate,
+        match: MatchResult | None,
+    ) -> Detection:
+        """Repeat the test at the matched pose, or stand back where the match does not deserve it.
+
+        A match refused as improbable leaves the prediction, and with it the test already made there.
+        """
+        if match is not None and match.status == "failed":
+            return detection if match.is_refused else detection.stand_back()
+        if _innovation_nis(predicted, match) > self.config.motion.stand_back_nis:
+            return detection.stand_back()
+        return self._detect(scan, is_valid, matched)
+
     def _detect(self, scan: Scan, is_valid: BoolArray, estimate: Estimate) -> Detection:
         if not self.config.filter_moving:
             return Detection.nothing(is_valid)
@@ -261,6 +304,8 @@ class Pipeline:
             self.config.motion,
             self.config.clusters,
             self.tracker.expected(scan.stamp),
+            self.afterimage.emptied(scan, estimate.T_local_base, is_valid),
+            self.config.afterimage.reach_m,
         )
 
     def _remember(self, scan: Scan, is_valid: BoolArray, detection: Detection, matched: Estimate) -> None:

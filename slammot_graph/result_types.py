@@ -33,6 +33,8 @@ class MatchResult:
         Robust root mean square of the residuals [m].
     reason : str
         Why it failed or is degenerate; empty when converged.
+    is_refused : bool
+        It failed only because it contradicts the odometry.
     """
 
     status: MatchStatus
@@ -45,6 +47,7 @@ class MatchResult:
     inlier_ratio: float
     residual_m: float
     reason: str = ""
+    is_refused: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -136,7 +136,7 @@ def test_a_match_that_determines_nothing_is_a_failure_not_an_error(rng: np.rando
     config = PipelineConfig(filter_moving=False, n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
     result = Run(log, config=config).complete()
     assert any(text == "match failed: no direction is determined" for _, text in result.events)
-    assert len(result.nodes) > 2
+    assert len(result.nodes) >= 2
     assert np.isfinite(result.T_map_base).all()
     assert errors(truth_from_start(log), result.T_map_base)[0] < 0.2
 

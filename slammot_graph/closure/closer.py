@@ -56,13 +56,13 @@ class LoopClosureConfig:
     min_path_m: float = 8.0
     max_distance_m: float = 12.0
     drift_scale: float = 5.0
-    sigma_scale: float = 3.0
+    sigma_scale: float = 6.0
     min_search_m: float = 0.5
     max_search_m: float = 8.0
     min_search_rad: float = 0.15
     max_search_rad: float = 0.8
     n_candidates: int = 3
-    min_score: float = 0.45
+    min_score: float = 0.38
     min_overlap: float = 0.55
     max_contradiction: float = 0.2
     max_ambiguity: float = 0.9

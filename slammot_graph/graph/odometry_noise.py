@@ -27,7 +27,7 @@ class OdometryNoise:
 
     still_std_m: float = 0.002
     still_std_rad: float = 0.002
-    std_m_per_sqrt_m: float = 0.03
+    std_m_per_sqrt_m: float = 0.02
     std_rad_per_sqrt_m: float = 0.04
     std_m_per_sqrt_rad: float = 0.02
     std_rad_per_sqrt_rad: float = 0.05

@@ -34,7 +34,9 @@ class DeadReckoning:
         self._T_odom_base = scan.T_odom_base
         return self.estimate
 
-    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+    def match(
+        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+    ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`; there is none."""
         return self.estimate, None
 

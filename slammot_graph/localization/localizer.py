@@ -61,8 +61,14 @@ class Localizer(Protocol):
     def predict(self, scan: Scan) -> Estimate:
         """Carry the last estimate along the odometry to the new scan."""
 
-    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
-        """Match the static points (n, 2) of the new scan; the prediction comes back where that fails."""
+    def match(
+        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+    ) -> tuple[Estimate, MatchResult | None]:
+        """Match the static points (n, 2) of the new scan; the prediction comes back where that fails.
+
+        May be called again for the same scan and begins anew then. A robust kernel, if there is one, is made
+        narrower by `kernel_factor`.
+        """
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
@@ -86,7 +92,10 @@ def fuse(cov_predicted: FloatArray, match: MatchResult) -> FloatArray:
 
 def refuse(match: MatchResult, T_predicted: FloatArray, reason: str) -> MatchResult:
     """Call a match failed after all: it tells nothing."""
-    return replace(match, status="failed", information=np.zeros((3, 3)), cov=1e6 * np.eye(3), reason=reason)
+    nothing = np.zeros((3, 3))
+    return replace(
+        match, status="failed", information=nothing, cov=1e6 * np.eye(3), reason=reason, is_refused=True
+    )
 
 
 FIRST_COV: FloatArray = 1e-8 * np.eye(3)

@@ -1,6 +1,6 @@
 """Our localization: scans matched onto the local map, keyframes joined in the pose graph."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,16 @@ class _Visit:
     cov_relative: FloatArray
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Prediction:
+    """What a match starts from, so that a scan can be matched again."""
+
+    T_local_base: FloatArray
+    cov_relative: FloatArray
+    cov_odometry: FloatArray
+    doubt: float
+
+
 class ScanToMap:
     """Point-to-line matching on a local map in front, a pose graph behind.
 
@@ -61,6 +71,7 @@ class ScanToMap:
         closure: LoopClosureConfig | None,
     ) -> None:
         self.noise = noise
+        self.config = matching
         self.matching = matching
         self.n_lost = n_lost
         self.local_map = LocalMap(local_map)
@@ -75,6 +86,9 @@ class ScanToMap:
         self._T_odom_base: FloatArray | None = None
         self._laser_base: FloatArray = np.zeros(2)
         self._match: MatchResult | None = None
+        self._prediction = _Prediction(
+            T_local_base=se2.IDENTITY, cov_relative=FIRST_COV, cov_odometry=np.zeros((3, 3)), doubt=0.0
+        )
         # since the last node
         self._T_odom_node: FloatArray = se2.IDENTITY
         self._T_local_node: FloatArray = se2.IDENTITY
@@ -103,11 +117,24 @@ class ScanToMap:
             self._cov_odometry = se2.compound_covariance(self._cov_odometry, increment, cov)
         self._T_odom_base = scan.T_odom_base
         self._laser_base = scan.laser.origin_base
+        self._prediction = _Prediction(
+            T_local_base=self._T_local_base,
+            cov_relative=self._cov_relative,
+            cov_odometry=self._cov_odometry,
+            doubt=self._doubt,
+        )
         return self._estimate()
 
-    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+    def match(
+        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+    ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
         self._match, self._is_improbable = None, False
+        before = self._prediction
+        self._T_local_base, self._cov_relative = before.T_local_base, before.cov_relative
+        self._cov_odometry = before.cov_odometry
+        scale_m = kernel_factor * self.config.kernel_scale_m
+        self.matching = replace(self.config, kernel_scale_m=scale_m)
         if self.local_map.keyframes:
             match, T_local_base = self._match_from(
                 points_base, is_static, self._T_local_base, self._cov_relative
@@ -116,7 +143,7 @@ class ScanToMap:
             if match.status == "failed" or (match.inlier_ratio < JUMP_INLIERS and nis > JUMP_NIS):
                 second = self._match_without_odometry(points_base, is_static, match)
                 match, T_local_base = second or (match, T_local_base)
-            self._doubt += 0.1 * (min(nis, MOST_NIS) - self._doubt)
+            self._doubt = before.doubt + 0.1 * (min(nis, MOST_NIS) - before.doubt)
             self._is_improbable = nis > self.matching.max_nis and self._doubt > self.matching.max_nis
             if self._is_improbable:
                 match = refuse(match, self._T_local_base, f"improbable, innovation squared {nis:.0f}")
@@ -171,7 +198,9 @@ class ScanToMap:
         else:
             self._n_failed = 0
         node = None
-        if len(self.graph) == 0 or (has_points and self.local_map.wants(self._T_local_base)):
+        knows_where = self._match is None or self._match.status != "failed" or self._match.is_refused
+        may_add = has_points and (knows_where or not self.local_map.keyframes)
+        if len(self.graph) == 0 or (may_add and self.local_map.wants(self._T_local_base)):
             node = self._add_node(scan)
             if has_points:
                 events += self._add_keyframe(node, scan, points_base, is_static)

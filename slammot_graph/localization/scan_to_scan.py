@@ -24,7 +24,9 @@ class ScanToScan(DeadReckoning):
         self._before = self.estimate
         return super().predict(scan)
 
-    def match(self, points_base: FloatArray, is_static: BoolArray) -> tuple[Estimate, MatchResult | None]:
+    def match(
+        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+    ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
         if self._reference is None:
             return self.estimate, None

@@ -153,6 +153,54 @@ def ellipse_test(
 
 
 @kernel
+def seen_through(
+    points: FloatArray,
+    is_used: BoolArray,
+    T_laser: FloatArray,
+    angle_min: float,
+    angle_increment: float,
+    ranges: FloatArray,
+    is_valid: BoolArray,
+    margin: float,
+    min_run: int,
+    out: BoolArray,
+) -> None:
+    """Mark in `out` the used points, in beam order, that the beams of a later scan pass by at least `margin` [m].
+
+    The beam towards a point and both its neighbours must be valid and reach beyond it; runs of fewer than `min_run`
+    such points, with no other used one in between, do not count. `T_laser` is in the frame of the points.
+    """
+    c = math.cos(T_laser[2])
+    s = math.sin(T_laser[2])
+    turn = math.copysign(2.0 * math.pi, angle_increment)
+    first = -1
+    run = 0
+    for k in range(points.shape[0]):
+        out[k] = False
+        if not is_used[k]:
+            continue
+        dx = points[k, 0] - T_laser[0]
+        dy = points[k, 1] - T_laser[1]
+        angle = math.atan2(-s * dx + c * dy, c * dx + s * dy) - angle_min
+        angle -= turn * math.floor(angle / turn)
+        m = math.floor(angle / angle_increment + 0.5)
+        passes = m >= 1 and m < ranges.shape[0] - 1
+        if passes:
+            past = math.sqrt(dx * dx + dy * dy) + margin
+            for i in range(m - 1, m + 2):
+                passes = passes and is_valid[i] and ranges[i] > past
+        if not passes:
+            run = 0
+            continue
+        run += 1
+        first = k if run == 1 else first
+        if run == min_run:
+            for i in range(first, k):
+                out[i] = is_used[i]
+        out[k] = run >= min_run
+
+
+@kernel
 def cluster_beams(
     points: FloatArray, is_member: BoolArray, max_gap: float, max_skipped_beams: int, out: IntArray
 ) -> int:

@@ -22,7 +22,11 @@ class ClusterConfig:
     min_points : int
         MINNUMBER: smaller subsets are discarded.
     max_x_range_m, max_y_range_m : float
-        MAX X RANGE, MAX Y RANGE: wider subsets are discarded.
+        MAX X RANGE, MAX Y RANGE: wider subsets are discarded, unless they can be split.
+    split_gap_m : float
+        A subset that is too wide is split at gaps of this size, for people who walk side by side; 0: never.
+    split_min_points : int
+        Parts with fewer points are discarded: legs of chairs are no people.
     """
 
     max_gap_m: float = 0.6
@@ -30,6 +34,8 @@ class ClusterConfig:
     min_points: int = 2
     max_x_range_m: float = 1.5
     max_y_range_m: float = 1.5
+    split_gap_m: float = 0.15
+    split_min_points: int = 8
 
     def __post_init__(self) -> None:
         if not self.max_gap_m > 0.0:
@@ -38,8 +44,11 @@ class ClusterConfig:
             raise ConfigError(
                 f"clusters.max_skipped_beams must not be negative, not {self.max_skipped_beams}"
             )
-        if self.min_points < 1:
-            raise ConfigError(f"clusters.min_points must be at least 1, not {self.min_points}")
+        for name in ("min_points", "split_min_points"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"clusters.{name} must be at least 1, not {getattr(self, name)}")
+        if not self.split_gap_m >= 0.0:
+            raise ConfigError(f"clusters.split_gap_m must not be negative, not {self.split_gap_m}")
         if not (self.max_x_range_m > 0.0 and self.max_y_range_m > 0.0):
             raise ConfigError("clusters.max_x_range_m and clusters.max_y_range_m must be positive")
 
@@ -62,11 +71,30 @@ def find_clusters(points: FloatArray, is_member: BoolArray, config: ClusterConfi
     labels = np.full(len(points), -1, dtype=np.int64)
     if not is_member.any():
         return labels, 0
-    n = _kernels.cluster_beams(points, is_member, config.max_gap_m, config.max_skipped_beams, labels)
+    is_kept = _group(points, is_member, config, config.max_gap_m, config.min_points, labels)
+    if config.split_gap_m > 0.0 and not is_kept.all():
+        is_wide = is_member & ~is_kept[labels]
+        parts = np.empty_like(labels)
+        is_part_kept = _group(points, is_wide, config, config.split_gap_m, config.split_min_points, parts)
+        labels[is_wide] = parts[is_wide] + len(is_kept)
+        is_kept = np.concatenate([is_kept, is_part_kept])
+    number = np.full(len(is_kept) + 1, -1, dtype=np.int64)  # the last entry serves label -1
+    number[:-1][is_kept] = np.arange(np.count_nonzero(is_kept))
+    return number[labels], int(np.count_nonzero(is_kept))
+
+
+def _group(
+    points: FloatArray,
+    is_member: BoolArray,
+    config: ClusterConfig,
+    max_gap_m: float,
+    min_points: int,
+    labels: IntArray,
+) -> BoolArray:
+    """Label the subsets from 0, -1 for others; returns which of them are kept."""
+    n = _kernels.cluster_beams(points, is_member, max_gap_m, config.max_skipped_beams, labels)
     is_kept = np.zeros(n, dtype=np.bool_)
     _kernels.discard_clusters(
-        points, labels, n, config.min_points, config.max_x_range_m, config.max_y_range_m, is_kept
+        points, labels, n, min_points, config.max_x_range_m, config.max_y_range_m, is_kept
     )
-    number = np.full(n + 1, -1, dtype=np.int64)  # the last entry serves label -1
-    number[:n][is_kept] = np.arange(np.count_nonzero(is_kept))
-    return number[labels], int(np.count_nonzero(is_kept))
+    return is_kept

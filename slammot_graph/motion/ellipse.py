@@ -175,6 +175,8 @@ def detect_moving(
     config: MotionConfig,
     clusters: ClusterConfig,
     expected: FloatArray | None = None,
+    emptied: FloatArray | None = None,
+    emptied_reach_m: float = 0.5,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -190,6 +192,10 @@ def detect_moving(
     grid : OccupancyGrid
     expected : (k, 2) array, optional
         Where tracked objects should be now, frame a [m].
+    emptied : (k, 2) array, optional
+        Where something stood a moment ago that is gone, frame a [m].
+    emptied_reach_m : float
+        Beams on unknown cells move if they end this near to such a place.
     """
     n = len(scan.ranges)
     points = scan.points(T_a_base)
@@ -217,15 +223,16 @@ def detect_moving(
     cluster, n_clusters = find_clusters(points, is_free, clusters)
     is_moving = cluster >= 0
     reason[is_free & ~is_moving] = reasons.DISCARDED
-    if expected is not None and len(expected) and config.track_reach_m > 0.0:
-        is_open = (reason == reasons.UNKNOWN) | (reason == reasons.DISCARDED)
-        offset = points[is_open, None, :] - expected[None]
-        is_open[is_open] = (np.hypot(offset[..., 0], offset[..., 1]) < config.track_reach_m).any(axis=1)
-        if is_open.any():
-            reason[is_open] = reasons.TRACKED
-            cluster, n_clusters = find_clusters(points, is_moving | is_open, replace(clusters, min_points=1))
+    for places, reach_m, why, groups in (
+        (emptied, emptied_reach_m, reasons.EMPTIED, clusters),
+        (expected, config.track_reach_m, reasons.TRACKED, replace(clusters, min_points=1)),
+    ):
+        is_near = _is_near(points, reason, places, reach_m)
+        if is_near is not None:
+            reason[is_near] = why
+            cluster, n_clusters = find_clusters(points, is_moving | is_near, groups)
             is_moving = cluster >= 0
-            reason[is_open & ~is_moving] = reasons.DISCARDED
+            reason[is_near & ~is_moving] = reasons.DISCARDED
     detection = Detection(
         is_moving=is_moving,
         p_moving=np.where(is_valid, is_moving, np.nan),
@@ -237,3 +244,15 @@ def detect_moving(
     if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
         return detection.stand_back()
     return detection
+
+
+def _is_near(
+    points: FloatArray, reason: IntArray, places: FloatArray | None, reach_m: float
+) -> BoolArray | None:
+    """(n,) beams on unknown cells, or too few for a cluster, that end near one of the places; None for none."""
+    if places is None or not len(places) or not reach_m > 0.0:
+        return None
+    is_open = (reason == reasons.UNKNOWN) | (reason == reasons.DISCARDED)
+    offset = points[is_open, None, :] - places[None]
+    is_open[is_open] = (np.hypot(offset[..., 0], offset[..., 1]) < reach_m).any(axis=1)
+    return is_open if is_open.any() else None

@@ -1,6 +1,8 @@
 """Why a beam was called moving or not: the numbers in `StepResult.reason` index `REASONS`."""
 
-NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK, TRACKED, NOT_TESTED = range(9)
+NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK, TRACKED, NOT_TESTED, EMPTIED = (
+    range(10)
+)
 
 REASONS = (
     "no valid return",
@@ -12,4 +14,5 @@ REASONS = (
     "static: too much of the scan seemed to move, or the match failed",
     "moving: where a tracked object was expected, and no occupied cell",
     "static: this method makes no test",
+    "moving: beside a place where something stood a moment ago that is empty now, and no occupied cell",
 )

@@ -104,7 +104,7 @@ def test_another_place_is_refused(meet: Meet) -> None:
 
 
 def test_a_place_farther_off_than_the_search_is_refused(meet: Meet) -> None:
-    assert_refused(meet(drift=np.array([3.0, 0.0, 0.0])), "no pose agrees")
+    assert_refused(meet(drift=np.array([5.5, 0.0, 0.0])), "no pose agrees")
 
 
 def test_a_room_that_looks_alike_from_two_sides_is_ambiguous(meet: Meet) -> None:

@@ -36,6 +36,24 @@ def test_kept_clusters_are_numbered_without_gaps() -> None:
     assert n == 2
 
 
+def test_people_side_by_side_are_split_where_together_they_are_too_wide() -> None:
+    people = np.concatenate([start + 0.05 * np.arange(9) for start in (0.0, 0.65, 1.3)])
+    labels, n = find_clusters(along_x(*people), np.ones(27, dtype=bool), ClusterConfig())
+    assert n == 3
+    assert labels.tolist() == [0] * 9 + [1] * 9 + [2] * 9
+    as_in_the_paper = ClusterConfig(split_gap_m=0.0)
+    labels, n = find_clusters(along_x(*people), np.ones(27, dtype=bool), as_in_the_paper)
+    assert n == 0
+    assert set(labels) == {-1}
+
+
+def test_a_wall_and_legs_of_chairs_stay_discarded() -> None:
+    wall = along_x(*np.arange(0.0, 3.0, 0.1))
+    assert find_clusters(wall, np.ones(30, dtype=bool), ClusterConfig())[1] == 0
+    chairs = along_x(*np.concatenate([start + 0.03 * np.arange(2) for start in np.arange(0.0, 3.0, 0.4)]))
+    assert find_clusters(chairs, np.ones(len(chairs), dtype=bool), ClusterConfig())[1] == 0
+
+
 def test_no_members_no_clusters() -> None:
     labels, n = find_clusters(np.full((3, 2), np.nan), np.zeros(3, dtype=bool), NO_LIMIT)
     assert labels.tolist() == [-1, -1, -1]
@@ -48,6 +66,8 @@ def test_no_members_no_clusters() -> None:
         ({"max_gap_m": 0.0}, "clusters.max_gap_m must be positive, not 0.0"),
         ({"max_skipped_beams": -1}, "clusters.max_skipped_beams must not be negative, not -1"),
         ({"min_points": 0}, "clusters.min_points must be at least 1, not 0"),
+        ({"split_min_points": 0}, "clusters.split_min_points must be at least 1, not 0"),
+        ({"split_gap_m": -0.1}, "clusters.split_gap_m must not be negative, not -0.1"),
         ({"max_x_range_m": 0.0}, "clusters.max_x_range_m and clusters.max_y_range_m must be positive"),
         (
             {"max_y_range_m": float("nan")},

@@ -1,0 +1,100 @@
+"""Places where something stood a moment ago and the laser now sees through: whoever stood there has moved.
+
+Free cells cannot tell of a person who walks in the robot's own direction, since he always stands where nobody has
+looked before. But where he stood a moment ago is empty now. (Visibility-based change detection, as Pomerleau et
+al. 2014 do it for maps.)
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.motion import _kernels
+from slammot_graph.scan import Scan
+from slammot_graph.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class AfterimageConfig:
+    """With which earlier scan the present one is compared, and what follows.
+
+    Attributes
+    ----------
+    reach_m : float
+        A beam on unknown cells moves if it ends this near to a place that is empty now; 0: no such test.
+    way_m, age_s : float
+        The earlier scan was taken at least this way or this time before, whichever is reached first.
+    margin_m : float
+        The laser must see past the place by this much.
+    min_run : int
+        Neighbouring points that must all be gone.
+    """
+
+    reach_m: float = 0.5
+    way_m: float = 0.3
+    age_s: float = 1.0
+    margin_m: float = 0.15
+    min_run: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("reach_m", "margin_m"):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(f"afterimage.{name} must not be negative, not {getattr(self, name)}")
+        if not (self.way_m > 0.0 and self.age_s > 0.0):
+            raise ConfigError("afterimage.way_m and afterimage.age_s must be positive")
+        if self.min_run < 1:
+            raise ConfigError(f"afterimage.min_run must be at least 1, not {self.min_run}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen:
+    """A scan of the last moments, in the local frame."""
+
+    stamp: float
+    T_local_base: FloatArray
+    points: FloatArray
+    is_valid: BoolArray
+
+
+class Afterimage:
+    """Remembers the scans of the last moments."""
+
+    def __init__(self, config: AfterimageConfig) -> None:
+        self.config = config
+        self._seen: deque[_Seen] = deque()
+
+    def remember(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> None:
+        """Take in a scan of n beams at its matched pose (3,), with its valid returns (n,)."""
+        if self.config.reach_m > 0.0:
+            points = scan.points(T_local_base)
+            seen = _Seen(stamp=scan.stamp, T_local_base=T_local_base, points=points, is_valid=is_valid)
+            self._seen.append(seen)
+
+    def emptied(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> FloatArray:
+        """(k, 2) points [m] of an earlier scan that this one, at its pose (3,), sees through; local frame."""
+        while len(self._seen) > 1 and self._is_old(self._seen[1], scan, T_local_base):
+            self._seen.popleft()
+        if not self._seen or not self._is_old(self._seen[0], scan, T_local_base):
+            return np.empty((0, 2))
+        earlier = self._seen[0]
+        is_gone = np.empty(len(earlier.points), dtype=np.bool_)
+        _kernels.seen_through(
+            earlier.points,
+            earlier.is_valid,
+            se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
+            scan.laser.angle_min,
+            scan.laser.angle_increment,
+            scan.ranges,
+            is_valid,
+            self.config.margin_m,
+            self.config.min_run,
+            is_gone,
+        )
+        return earlier.points[is_gone]
+
+    def _is_old(self, seen: _Seen, scan: Scan, T_local_base: FloatArray) -> bool:
+        way_m = np.hypot(*(T_local_base[:2] - seen.T_local_base[:2]))
+        return bool(way_m >= self.config.way_m or scan.stamp - seen.stamp >= self.config.age_s)

@@ -1,0 +1,132 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slammot_graph import se2
+from slammot_graph.errors import ConfigError
+from slammot_graph.motion import Afterimage, AfterimageConfig, _kernels
+from slammot_graph.pipeline import Pipeline, PipelineConfig
+from slammot_graph.types import BoolArray, FloatArray
+from tests.rooms import LASER, box, take_scan
+
+AT_REST = np.array([0.0, 0.0, 0.0])
+ROOM = box(-6.0, -4.0, 6.0, 4.0)
+
+
+def seen_through_twin(
+    points: FloatArray,
+    is_used: BoolArray,
+    T_laser: FloatArray,
+    angles: FloatArray,
+    ranges: FloatArray,
+    is_valid: BoolArray,
+    margin: float,
+    min_run: int,
+) -> BoolArray:
+    """The kernel in plain NumPy: nearest beam by angle, both its neighbours, runs among the used points."""
+    local = se2.transform(se2.inverse(T_laser), points)
+    step = angles[1] - angles[0]
+    m = np.rint(np.mod(np.arctan2(local[:, 1], local[:, 0]) - angles[0], np.sign(step) * 2 * np.pi) / step)
+    m = m.astype(int)
+    inside = (m >= 1) & (m < len(angles) - 1)
+    around = np.clip(m, 1, len(angles) - 2)[:, None] + [-1, 0, 1]
+    past = np.hypot(*local.T)[:, None] + margin
+    passes = inside & (is_valid[around] & (ranges[around] > past)).all(axis=1)
+    used = np.flatnonzero(is_used)
+    out = np.zeros(len(points), dtype=bool)
+    run: list[int] = []
+    for k in [*used, -1]:
+        if k >= 0 and passes[k]:
+            run.append(k)
+            continue
+        if len(run) >= min_run:
+            out[run] = True
+        run = []
+    return out
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 1.0]))
+def test_the_kernel_equals_its_twin(seed: int, sense: float) -> None:
+    rng = np.random.default_rng(seed)
+    n = 40
+    angles = sense * (-2.0 + np.linspace(0.0, 4.0, 61))
+    points = np.cumsum(rng.normal(0.0, 0.4, (n, 2)), axis=0) + rng.normal(0.0, 2.0, 2)
+    T_laser = rng.normal(0.0, 1.0, 3)
+    ranges, is_valid, is_used = rng.uniform(0.5, 8.0, 61), rng.random(61) > 0.05, rng.random(n) > 0.1
+    for min_run in (1, 3):
+        out = np.empty(n, dtype=bool)
+        _kernels.seen_through(
+            points, is_used, T_laser, angles[0], angles[1] - angles[0], ranges, is_valid, 0.1, min_run, out
+        )
+        twin = seen_through_twin(points, is_used, T_laser, angles, ranges, is_valid, 0.1, min_run)
+        np.testing.assert_array_equal(out, twin)
+
+
+def emptied(before: list[list[float]], after: list[list[float]], seconds: float = 2.0) -> FloatArray:
+    """Places that are empty after `seconds`, with discs (x, y, radius) before and after."""
+    memory = Afterimage(AfterimageConfig())
+    first = take_scan(AT_REST, walls=ROOM, discs=before)
+    memory.remember(first, AT_REST, first.is_valid())
+    later = take_scan(AT_REST, index=1, walls=ROOM, discs=after)
+    object.__setattr__(later, "stamp", first.stamp + seconds)
+    return memory.emptied(later, AT_REST, later.is_valid())
+
+
+def test_where_somebody_stood_is_empty_when_he_has_gone_on() -> None:
+    places = emptied([[2.0, 0.0, 0.25]], [[2.6, 0.0, 0.25]])
+    assert len(places) >= 3
+    assert (np.hypot(*(places - [2.0, 0.0]).T) < 0.3).all()
+
+
+def test_who_stays_or_comes_nearer_leaves_no_empty_place() -> None:
+    assert len(emptied([[2.0, 0.0, 0.25]], [[2.0, 0.0, 0.25]])) == 0
+    assert len(emptied([[2.6, 0.0, 0.25]], [[2.0, 0.0, 0.25]])) == 0
+    assert len(emptied([], [[2.0, 0.0, 0.25]])) == 0
+
+
+def test_a_scan_of_just_now_is_not_compared() -> None:
+    assert len(emptied([[2.0, 0.0, 0.25]], [[2.6, 0.0, 0.25]], seconds=0.5)) == 0
+
+
+def company_recall(config: PipelineConfig) -> float:
+    """Share of the beams called moving on a person who always walks 1.5 m ahead of the robot, in the last half."""
+    rng, pipeline, found, seen = np.random.default_rng(0), Pipeline(config), 0, 0
+    for k in range(60):
+        T = np.array([-5.0 + 0.1 * k, 0.3, 0.0])
+        scan = take_scan(
+            T,
+            index=k,
+            walls=box(-7.0, -2.0, 9.0, 2.0),
+            discs=[[T[0] + 1.5, 0.3, 0.25]],
+            noise=rng.normal(0.0, 0.008, LASER.n_beams),
+        )
+        step = pipeline.step(scan)
+        if k >= 30:
+            assert scan.truth is not None and scan.truth.is_moving is not None
+            seen += int(scan.truth.is_moving.sum())
+            found += int((step.is_moving & scan.truth.is_moving).sum())
+    pipeline.close()
+    return found / seen
+
+
+def test_who_walks_ahead_of_the_robot_from_the_start_is_found() -> None:
+    with_it = company_recall(PipelineConfig())
+    without = company_recall(PipelineConfig(afterimage=AfterimageConfig(reach_m=0.0)))
+    assert with_it > 0.8
+    assert with_it > without + 0.3
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"reach_m": -1.0}, "afterimage.reach_m must not be negative, not -1.0"),
+        ({"margin_m": -1.0}, "afterimage.margin_m must not be negative, not -1.0"),
+        ({"way_m": 0.0}, "afterimage.way_m and afterimage.age_s must be positive"),
+        ({"min_run": 0}, "afterimage.min_run must be at least 1, not 0"),
+    ],
+)
+def test_an_impossible_afterimage_is_refused(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        AfterimageConfig(**changes)  # type: ignore[arg-type]
