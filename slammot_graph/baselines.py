@@ -29,9 +29,11 @@ class KissIcpConfig:
     voxel_size_m : float
         Of the map; correspondences reach less than two voxels.
     max_points_per_voxel : int
-    fixed_threshold_m : float
-    map_spacing_m, match_spacing_m : float
-        Sub-sampling of the scan for the map and for the match.
+    fixed_threshold_m : float or None
+        None: kiss-icp's adaptive threshold.
+    map_spacing_m, match_spacing_m : float or None
+        Sub-sampling of the scan for the map and for the match; None: as kiss-icp does it, by half a voxel, and
+        of what that leaves by one and a half.
     odometry_noise : OdometryNoise
         Stands in for the covariance, which kiss-icp does not have.
     grid : GridConfig
@@ -42,9 +44,9 @@ class KissIcpConfig:
     min_range_m: float = 0.1
     voxel_size_m: float = 0.3
     max_points_per_voxel: int = 40
-    fixed_threshold_m: float = 0.1
-    map_spacing_m: float = 0.05
-    match_spacing_m: float = 0.1
+    fixed_threshold_m: float | None = 0.1
+    map_spacing_m: float | None = 0.05
+    match_spacing_m: float | None = 0.1
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
 
@@ -57,8 +59,10 @@ class KissIcpConfig:
             "map_spacing_m",
             "match_spacing_m",
         ):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
+            value = getattr(self, name)
+            may_be_none = name in ("fixed_threshold_m", "map_spacing_m", "match_spacing_m")
+            if not (value is None and may_be_none) and not value > 0.0:
+                raise ConfigError(f"{name} must be positive, not {value}")
         if self.max_points_per_voxel < 1:
             raise ConfigError(f"max_points_per_voxel must be at least 1, not {self.max_points_per_voxel}")
 
@@ -159,10 +163,14 @@ def _make_kiss_icp(config: KissIcpConfig) -> Any:
     kiss.mapping.max_points_per_voxel = config.max_points_per_voxel
     kiss.adaptive_threshold.fixed_threshold = config.fixed_threshold_m
     icp = KissICP(kiss)
-    icp.voxelize = lambda frame: (
-        voxel_down_sample(frame, config.match_spacing_m),
-        voxel_down_sample(frame, config.map_spacing_m),
-    )
+
+    def voxelize(frame: FloatArray) -> tuple[FloatArray, FloatArray]:
+        for_map = voxel_down_sample(frame, config.map_spacing_m or 0.5 * config.voxel_size_m)
+        if config.match_spacing_m is None:
+            return voxel_down_sample(for_map, 1.5 * config.voxel_size_m), for_map
+        return voxel_down_sample(frame, config.match_spacing_m), for_map
+
+    icp.voxelize = voxelize
     return icp
 
 

@@ -4,6 +4,7 @@ Whatever is heavy (gtsam, rerun, matplotlib, kiss_icp) is imported by the comman
 """
 
 import contextlib
+import itertools
 import math
 import os
 import signal
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from slammot_graph.recording import RunLog
     from slammot_graph.result_types import RunResult, StepResult
     from slammot_graph.run import Run
+    from slammot_graph.simulation import SimulatedLog
+    from slammot_graph.types import FloatArray
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_INTERRUPTED = 0, 2, 130
 DEMO_METHODS = ("icp", "docpfo", "graph")
@@ -46,6 +49,8 @@ RUN_FILES = (
 )
 N_REASONS = 3
 """So many skipped scans and warnings are shown; the rest is counted."""
+STAMP_TOLERANCE_S = 1e-6
+"""Run folders write their stamps with nine decimals."""
 
 RerunMode = Literal["file", "spawn", "off"]
 
@@ -71,6 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "evaluate": evaluate_command,
                 "config": config_command,
                 "simulate": simulate_command,
+                "inject": inject_command,
                 "demo": demo_command,
             },
             prog="slammot-graph",
@@ -244,6 +250,72 @@ def simulate_command(
     return EXIT_OK
 
 
+def inject_command(
+    log: Annotated[Path, tyro.conf.arg(metavar="LOG")],
+    /,
+    *,
+    people: Annotated[int, tyro.conf.arg(metavar="N")],
+    seed: Annotated[int, tyro.conf.arg(metavar="S")] = 0,
+    output: Annotated[Path, tyro.conf.arg(metavar="LOG.npz")],
+    reference: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
+    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+) -> int:
+    """Copy a recorded log with people in it who cross the beams, and exact labels of those beams.
+
+    They walk where the log's own scans saw free space; all other beams stay as recorded.
+
+    Parameters
+    ----------
+    log
+        As for `slammot-graph run`.
+    people
+        How many.
+    seed
+        Equal seeds give equal logs.
+    output
+        The log to write; its poses are those of the reference.
+    reference
+        A run folder of the same log, whose trajectory says where the robot was; by default `graph` is run first.
+    max_scans
+        Take the log's first ones only.
+    scan_topic
+        Which laser of a bag.
+    odom_topic
+        Which odometry of a bag.
+    """
+    for name, value, least in (("people", people, 0), ("seed", seed, 0), ("max-scans", max_scans, 1)):
+        if value is not None and value < least:
+            raise InputError(f"--{name} must be at least {least}, not {value}")
+    if output.suffix != ".npz":
+        raise InputError(f"{output}: the name of --output must end in .npz")
+
+    from slammot_graph.logs import open_log
+    from slammot_graph.simulation import inject
+
+    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic)
+    if output.exists() and output.samefile(log):
+        raise InputError(f"{output}: is the recorded log itself; name another --output")
+    _prepare_file(output)
+    T_map_base = (
+        _run_reference(opened, max_scans)
+        if reference is None
+        else _read_reference(reference, opened, max_scans)
+    )
+    made = inject(opened, T_map_base, n_people=people, seed=seed, max_scans=max_scans)
+    _write_whole(made, output)
+    _warn(opened)
+    n_seen = len(set(made.object_id[made.is_moving].tolist()))
+    share = made.is_moving.sum() / max(1, sum(int(scan.is_valid().sum()) for scan in made))
+    _stderr().print(
+        f"{log.name} with seed {seed} is in {output}: {made.n_scans} scans,"
+        f" {people} people, {n_seen} of them seen, {share:.1%} of the valid beams on them",
+        soft_wrap=True,
+    )
+    return EXIT_OK
+
+
 def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")) -> int:
     """Simulate two walkers, run the paper's methods and ours over the log, and compare them.
 
@@ -371,10 +443,66 @@ def _write_simulation(
 ) -> None:
     from slammot_graph.simulation import simulate
 
-    output.parent.mkdir(parents=True, exist_ok=True)
+    _prepare_file(output)
     simulated = simulate(scenario, seed=seed, n_people=people, noise_scale=noise_scale)
-    simulated.write(output)
+    _write_whole(simulated, output)
     _stderr().print(f"{scenario} with seed {seed} is in {output}", soft_wrap=True)
+
+
+def _run_reference(log: "LaserLog", max_scans: int | None) -> "FloatArray":
+    """Where `graph` says that the robot was."""
+    from slammot_graph.run import Run
+
+    run = Run(log, "graph")
+    steps = iter(run)
+    try:
+        with _progress(log, run.method, max_scans) as show:
+            for n_scans, _ in enumerate(steps, start=1):
+                show(n_scans)
+                if n_scans == max_scans:
+                    break
+    finally:
+        if isinstance(steps, Generator):
+            steps.close()
+    return run.result().T_map_base
+
+
+def _read_reference(directory: Path, log: "LaserLog", max_scans: int | None) -> "FloatArray":
+    """The trajectory of a run folder, which must be one of this log; `inject` looks at its length."""
+    import numpy as np
+
+    from slammot_graph.evaluation import read_trajectory
+
+    stamps, T_map_base = read_trajectory(directory / "trajectory.tum")
+    of_log = np.array([scan.stamp for scan in itertools.islice(log, max_scans)])
+    if not len(of_log):
+        raise InputError(f"{log.path}: none of its {log.n_scans} scans is usable")
+    n = min(len(stamps), len(of_log))
+    if not np.allclose(stamps[:n], of_log[:n], rtol=0.0, atol=STAMP_TOLERANCE_S):
+        raise InputError(
+            f"{directory}: its scans have other times than those of {log.path};"
+            " name a run of this log as --reference"
+        )
+    return T_map_base
+
+
+def _prepare_file(output: Path) -> None:
+    """Find out that a log cannot be written before it is computed."""
+    if output.exists() and not output.is_file():
+        raise InputError(f"{output}: is no plain file; name another --output")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise InputError(f"{output}: cannot be written (Permission denied); name another --output")
+
+
+def _write_whole(log: "SimulatedLog", output: Path) -> None:
+    """Write a log under a temporary name and rename it: it is whole or not there."""
+    unfinished = output.with_name(f".{output.name}.tmp")
+    try:
+        log.write(unfinished)
+        unfinished.replace(output)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 # ------------------------------------------------------------------------------------------------- showing
@@ -401,9 +529,10 @@ def _complain(text: str) -> int:
 
 
 @contextlib.contextmanager
-def _progress(log: "LaserLog", method: str) -> Iterator[Callable[[int], None]]:
+def _progress(log: "LaserLog", method: str, max_scans: int | None = None) -> Iterator[Callable[[int], None]]:
     """Show how many scans are done: a bar, or where nobody watches a line at the start and one at the end."""
     console = _stderr()
+    total = log.n_scans if max_scans is None else min(max_scans, log.n_scans)
     label = f"{method} on {log.path.name}"
     if console.is_terminal:
         columns = (
@@ -414,7 +543,7 @@ def _progress(log: "LaserLog", method: str) -> Iterator[Callable[[int], None]]:
             TimeRemainingColumn(),
         )
         with Progress(*columns, console=console) as bar:
-            task = bar.add_task(label, total=log.n_scans)
+            task = bar.add_task(label, total=total)
             yield lambda n_scans: bar.update(task, completed=n_scans + len(log.skipped))
         return
     n_done, start = 0, time.monotonic()
@@ -423,7 +552,7 @@ def _progress(log: "LaserLog", method: str) -> Iterator[Callable[[int], None]]:
         nonlocal n_done
         n_done = n_scans
 
-    console.print(f"{label}: {log.n_scans} scans", soft_wrap=True)
+    console.print(f"{label}: {total} scans", soft_wrap=True)
     yield count
     console.print(f"{label}: {n_done} scans in {time.monotonic() - start:.1f} s", soft_wrap=True)
 

@@ -95,8 +95,8 @@ class ScanToMap:
         self._T_map_node: FloatArray = se2.IDENTITY
         self._cov_odometry: FloatArray = np.zeros((3, 3))
         self._n_failed = 0
+        self._n_blind = 0
         self._doubt = 0.0
-        self._is_improbable = False
         self._node_scans: list[int] = []
         self._visits: list[_Visit] = []
 
@@ -129,7 +129,7 @@ class ScanToMap:
         self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
     ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
-        self._match, self._is_improbable = None, False
+        self._match = None
         before = self._prediction
         self._T_local_base, self._cov_relative = before.T_local_base, before.cov_relative
         self._cov_odometry = before.cov_odometry
@@ -143,9 +143,10 @@ class ScanToMap:
             if match.status == "failed" or (match.inlier_ratio < JUMP_INLIERS and nis > JUMP_NIS):
                 second = self._match_without_odometry(points_base, is_static, match)
                 match, T_local_base = second or (match, T_local_base)
+            if match.status == "failed" and kernel_factor < 1.0:
+                return self.match(points_base, is_static)
             self._doubt = before.doubt + 0.1 * (min(nis, MOST_NIS) - before.doubt)
-            self._is_improbable = nis > self.matching.max_nis and self._doubt > self.matching.max_nis
-            if self._is_improbable:
+            if nis > self.matching.max_nis and self._doubt > self.matching.max_nis:
                 match = refuse(match, self._T_local_base, f"improbable, innovation squared {nis:.0f}")
                 T_local_base = self._T_local_base
             self._match, self._T_local_base = match, T_local_base
@@ -188,19 +189,24 @@ class ScanToMap:
     ) -> tuple[int | None, list[str]]:
         """See `Localizer`."""
         events: list[str] = []
-        has_points = np.count_nonzero(is_static) >= self.matching.min_pairs
+        has_points = bool(np.count_nonzero(is_static) >= self.matching.min_pairs)
         if self._match is not None and self._match.status == "failed":
-            self._n_failed += bool(has_points and not self._is_improbable)
             events.append(f"match failed: {self._match.reason}")
-            if self._n_failed >= self.n_lost:
+            self._n_failed += has_points and not self._match.is_refused
+            was_blind = has_points and self._n_blind >= self.n_lost
+            if was_blind or self._n_failed >= self.n_lost:
+                why = (
+                    f"no match after {self._n_blind} scans with nothing in sight"
+                    if was_blind
+                    else f"{self.n_lost} matches failed in a row"
+                )
+                events.append(f"lost: {why}, a new local map begins here")
                 self._leave_local_map()
-                events.append(f"lost: {self.n_lost} matches failed in a row, a new local map begins here")
         else:
             self._n_failed = 0
+        self._n_blind = 0 if has_points else self._n_blind + 1
         node = None
-        knows_where = self._match is None or self._match.status != "failed" or self._match.is_refused
-        may_add = has_points and (knows_where or not self.local_map.keyframes)
-        if len(self.graph) == 0 or (may_add and self.local_map.wants(self._T_local_base)):
+        if len(self.graph) == 0 or (has_points and self.local_map.wants(self._T_local_base)):
             node = self._add_node(scan)
             if has_points:
                 events += self._add_keyframe(node, scan, points_base, is_static)

@@ -66,7 +66,7 @@ def test_a_carried_robot_knows_that_it_is_lost_and_finds_itself_again(seed: int)
         step.events == ("match failed: only 0 points found a partner",) for step in steps[back - 10 : back]
     )
     (lost,) = (scan for scan, text in result.events if text.startswith("lost: "))
-    assert lost == back + 4
+    assert lost == back
     assert all(step.match is not None and step.match.status == "failed" for step in steps[back : lost + 1])
     assert not any(step.is_moving.any() for step in steps[back : lost + 1])
 
