@@ -122,11 +122,11 @@ def run_cells(
         Another process writes the same results, or a cell failed; the others are kept.
     """
     path = options.folder("results") / f"{name}.jsonl"
-    if options.fresh:
-        path.unlink(missing_ok=True)
     code = code_state()
     failed: list[str] = []
     with _locked(path), _progress(name, len(cells)) as advance:
+        if options.fresh:
+            path.unlink(missing_ok=True)
         finished = _read(path)
         done = {key: finished[key]["scores"] for key in cells if key in finished}
         strangers = sum(finished[key].get("code") != code for key in done)

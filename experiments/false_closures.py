@@ -25,6 +25,7 @@ from slammot_graph import open_log, se2
 from slammot_graph.closure import Closure, LoopCloser, Submap
 from slammot_graph.errors import InputError
 from slammot_graph.evaluation import RelationScores, evaluate_relations, read_relations
+from slammot_graph.result_types import ClosureAttempt
 from slammot_graph.types import FloatArray
 
 FIRST_SCANS = 6000
@@ -81,11 +82,12 @@ class Liar:
     lies: Sequence[Lie]
     told: list[Closure] = field(default_factory=list)
     ever_taken: set[int] = field(default_factory=set)
+    believed: list[str] = field(default_factory=list)
     ms: list[float] = field(default_factory=list)
 
-    def __call__(self, closer: LoopCloser, submap: Submap) -> tuple[bool, list[str]]:
+    def __call__(self, closer: LoopCloser, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
         """Put in what is due, as `LoopCloser.consider` does with a closure of its own."""
-        changed, events = False, []
+        changed, attempts = False, list[ClosureAttempt]()
         for lie in self.lies:
             if lie.source != submap.number:
                 continue
@@ -104,15 +106,18 @@ class Liar:
                 target.anchor, submap.anchor
             )
             predicted = se2.between(nodes[target.anchor], nodes[submap.anchor])
-            accepted, reason = closer.decide(closure, predicted, cov)
+            attempt = closer.decide(closure, predicted, cov)
+            accepted = attempt.status == "accepted"
+            attempts.append(attempt)
+            if accepted:
+                self.believed.append(attempt.text)
             taken = {id(c) for c in accepted_by(closer)}
             self.ever_taken |= {k for k, c in enumerate(self.told) if id(c) in taken}
             if accepted:
-                events += closer.take_back()
+                attempts += closer.take_back()
             self.ms.append(1e3 * (time.process_time() - start))
             changed |= accepted
-            events.append(f"false closure {target.anchor}-{submap.anchor} {reason}")
-        return changed, events
+        return changed, tuple(attempts)
 
     def n_left(self, closer: LoopCloser) -> int:
         """How many of the lies are believed."""
@@ -199,9 +204,8 @@ def experiment(options: FalseOptions) -> None:
             scores = evaluate_relations(run.result.stamps, run.result.T_map_base, relations)
             rows.append(_row(name, str(seed), run, truth, scores, base, liar))
             say(f"false_closures: {' | '.join(rows[-1])}")
-            for _, text in run.result.events:
-                if text.startswith("false") and "accepted" in text:
-                    say(f"false_closures:   {text}")
+            for text in liar.believed:
+                say(f"false_closures:   false {text}")
     n_scans = len(truth.result.stamps)
     intro = (
         f"{options.log}, {n_scans} scans. False closures are handed to `LoopCloser.decide` after the verification, as"

@@ -20,7 +20,7 @@ from slammot_graph.errors import InputError, SlammotError
 from slammot_graph.evaluation import ErrorStats, RelationScores, evaluate_relations, read_relations
 from slammot_graph.logs import LaserLog
 from slammot_graph.methods import METHODS, Config
-from slammot_graph.result_types import GraphEdge, RunResult
+from slammot_graph.result_types import ClosureAttempt, GraphEdge, RunResult
 from slammot_graph.types import BoolArray, FloatArray
 
 WRONG_M, WRONG_DEG = 0.5, 5.0
@@ -63,7 +63,7 @@ PUBLISHED: dict[str, tuple[tuple[str, str, str], ...]] = {
 CODE = code_state()
 """Of the code that was loaded, which may change on disk while an experiment runs."""
 
-AfterConsider = Callable[[LoopCloser, Submap], tuple[bool, list[str]]]
+AfterConsider = Callable[[LoopCloser, Submap], tuple[bool, tuple[ClosureAttempt, ...]]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,15 +128,15 @@ def run_watched(
     closing_cpu_s = 0.0
     consider = LoopCloser.consider
 
-    def watched(closer: LoopCloser, submap: Submap) -> tuple[bool, list[str]]:
+    def watched(closer: LoopCloser, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
         nonlocal closing_cpu_s
         start = time.process_time()
-        changed, events = consider(closer, submap)
+        changed, attempts = consider(closer, submap)
         closing_cpu_s += time.process_time() - start
         if after_consider is not None:
             has_more, more = after_consider(closer, submap)
-            changed, events = changed or has_more, events + more
-        return changed, events
+            changed, attempts = changed or has_more, attempts + more
+        return changed, attempts
 
     run = Run(log, method, config=config)
     cpu_ms = []

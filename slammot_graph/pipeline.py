@@ -172,6 +172,8 @@ class Pipeline:
         self._node_views: list[_View] = []
         self.afterimage = Afterimage(config.afterimage)
         self._judged: list[Judged] = []
+        self._n_times_lost = 0
+        self._first_remembered = 0
         self._stopwatch = Stopwatch()
 
     def step(self, scan: Scan) -> StepResult:
@@ -202,6 +204,8 @@ class Pipeline:
         is_static = is_valid & ~detection.is_moving
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)
+        if self.localizer.n_times_lost > self._n_times_lost:
+            self._forget(scan)
         with watch.stage("map"):
             self._update_map(scan, points_base, is_valid, is_static, matched, node)
         with watch.stage("objects"):
@@ -227,6 +231,7 @@ class Pipeline:
             node=node,
             events=tuple(events),
             stage_ms=watch.read(),
+            closures=self.localizer.closures,
         )
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
@@ -326,6 +331,12 @@ class Pipeline:
         )
         self._judged.append(kept)
 
+    def _forget(self, scan: Scan) -> None:
+        """The robot is lost: what the test remembers lies elsewhere."""
+        self._n_times_lost = self.localizer.n_times_lost
+        self._first_remembered = scan.index
+        self.afterimage = Afterimage(self.config.afterimage)
+
     def _update_map(
         self,
         scan: Scan,
@@ -338,7 +349,8 @@ class Pipeline:
         """Static points occupy, all beams free the cells they cross."""
         if node is not None:
             self._node_views.append(_View(scan=scan, is_valid=is_valid, is_static=is_static))
-            self.grid.oldest = self._node_views[-self.config.n_window_keyframes :][0].scan.index
+            first_in_window = self._node_views[-self.config.n_window_keyframes :][0].scan.index
+            self.grid.oldest = max(first_in_window, self._first_remembered)
         ends, is_beam = _beams(scan, points_base, is_valid, self.config.free_no_return_m)
         ends = se2.transform(matched.T_local_base, ends)
         is_hit = is_valid if self.config.occupy_with_moving else is_static

@@ -9,6 +9,7 @@ from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 MatchStatus = Literal["converged", "degenerate", "failed"]
+ClosureStatus = Literal["accepted", "waiting", "refused", "taken back"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,6 +87,38 @@ class GraphEdge:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ClosureAttempt:
+    """Two places that might have been one, and what became of it.
+
+    Attributes
+    ----------
+    target_node, source_node : int
+        Graph nodes of the anchors of the earlier and of the later local map.
+    status : "accepted", "waiting" (for another to confirm it), "refused" or "taken back"
+    reason : str
+        Why, in words; empty where there is nothing to add.
+    T_target_source : (3,) array
+        The relative pose that was found, or where it was refused before that, the one that was expected.
+    """
+
+    target_node: int
+    source_node: int
+    status: ClosureStatus
+    reason: str
+    T_target_source: FloatArray
+
+    @property
+    def text(self) -> str:
+        """One line for a person."""
+        name = f"closure {self.target_node}-{self.source_node}"
+        if self.status == "accepted":
+            return f"{name} accepted" + (f", {self.reason}" if self.reason else "")
+        if self.status == "waiting":
+            return f"{name} waits for another to confirm it, {self.reason}"
+        return f"{name} {self.status}: {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StepResult:
     """Everything that one scan brought.
 
@@ -118,6 +151,8 @@ class StepResult:
         Index of the graph node added at this scan.
     events : tuple of str
         What a person should know: "match failed: ...", "closure 12-340 accepted: ...".
+    closures : tuple of ClosureAttempt
+        Loop closures tried at this scan.
     stage_ms : mapping
         Time of each stage [ms]; the whole step under "step".
     """
@@ -139,6 +174,7 @@ class StepResult:
     node: int | None
     events: tuple[str, ...]
     stage_ms: Mapping[str, float]
+    closures: tuple[ClosureAttempt, ...] = ()
 
     @property
     def point_cov_map(self) -> FloatArray:

@@ -8,12 +8,13 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.closure import _kernels
+from slammot_graph.closure.joining import Vote, elect
 from slammot_graph.closure.submap import CELL_M, OCCUPIED_SCORE, PreparedSubmap, Submap
 from slammot_graph.errors import ConfigError
 from slammot_graph.graph import PoseGraph
 from slammot_graph.linalg import mahalanobis2
 from slammot_graph.matching import LocalMap, LocalMapConfig, PointToLineConfig, match_to_local_map
-from slammot_graph.result_types import GraphEdge
+from slammot_graph.result_types import ClosureAttempt, ClosureStatus, GraphEdge
 from slammot_graph.types import FloatArray
 
 
@@ -34,8 +35,8 @@ class LoopClosureConfig:
         The search covers this many standard deviations of their relative pose ...
     min_search_m, max_search_m, min_search_rad, max_search_rad : float
         ... within these bounds.
-    n_candidates : int
-        Local maps that are looked at per finished one, the nearest first.
+    n_candidates, n_candidates_lost : int
+        Local maps that are looked at per finished one, the nearest first; and while the robot is lost.
     min_score : float
         Share of the best possible agreement that the search must reach.
     min_overlap : float
@@ -62,6 +63,7 @@ class LoopClosureConfig:
     min_search_rad: float = 0.15
     max_search_rad: float = 0.8
     n_candidates: int = 3
+    n_candidates_lost: int = 7
     min_score: float = 0.38
     min_overlap: float = 0.55
     max_contradiction: float = 0.2
@@ -89,8 +91,9 @@ class LoopClosureConfig:
             0.0 < self.min_search_m <= self.max_search_m and 0.0 < self.min_search_rad <= self.max_search_rad
         ):
             raise ConfigError("closure needs 0 < min_search <= max_search, in metres and in radians")
-        if self.n_candidates < 1:
-            raise ConfigError(f"closure.n_candidates must be at least 1, not {self.n_candidates}")
+        for name in ("n_candidates", "n_candidates_lost"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"closure.{name} must be at least 1, not {getattr(self, name)}")
         for name in ("min_score", "min_overlap", "max_contradiction", "max_ambiguity"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(f"closure.{name} must be in [0, 1], not {getattr(self, name)}")
@@ -114,6 +117,22 @@ class Closure:
     cov: FloatArray
     information: FloatArray
 
+    def attempt(self, status: ClosureStatus, reason: str) -> ClosureAttempt:
+        """What became of it."""
+        return _attempt(self.target, self.source, status, reason, self.T_target_source)
+
+
+def _attempt(
+    target: Submap, source: Submap, status: ClosureStatus, reason: str, T_target_source: FloatArray
+) -> ClosureAttempt:
+    return ClosureAttempt(
+        target_node=target.anchor,
+        source_node=source.anchor,
+        status=status,
+        reason=reason,
+        T_target_source=T_target_source,
+    )
+
 
 class LoopCloser:
     """Looks at each finished local map, and tells the graph when the robot has come back."""
@@ -126,52 +145,95 @@ class LoopCloser:
         self.submaps: list[Submap] = []
         self.accepted: list[tuple[Closure, GraphEdge]] = []
         self.pending: list[Closure] = []
+        self._joined = {0}
+        self._votes: dict[int, list[Closure]] = {}
         self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
         self._field = LocalMap(local_map)
 
-    def consider(self, submap: Submap) -> tuple[bool, list[str]]:
-        """Take in a finished local map; returns whether the graph has changed, and what happened."""
-        events: list[str] = []
+    def consider(self, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
+        """Take in a finished local map; returns whether the graph has changed, and what was tried."""
+        attempts: list[ClosureAttempt] = []
         verified = []
         nodes = self.graph.poses()
         for target, T_target_source, cov in self._candidates(submap, nodes):
             closure, reason = self._verify(target, submap, T_target_source, cov)
-            name = f"closure {target.anchor}-{submap.anchor}"
             if closure is None:
-                events.append(f"{name} refused: {reason}")
+                attempts.append(_attempt(target, submap, "refused", reason, T_target_source))
             else:
                 verified.append((closure, T_target_source, cov))
         self.submaps.append(submap)
-        changed = False
         for closure, T_predicted, cov in verified:
-            accepted, reason = self.decide(closure, T_predicted, cov)
-            events.append(f"closure {closure.target.anchor}-{closure.source.anchor} {reason}")
-            changed |= accepted
+            if self._is_apart(closure.target, submap):
+                attempts.append(self.locate(closure))
+            else:
+                attempts.append(self.decide(closure, T_predicted, cov))
+        changed = any(attempt.status == "accepted" for attempt in attempts)
         if changed:
-            events += self.take_back()
-        return changed, events
+            attempts += self.take_back()
+        return changed, tuple(attempts)
 
-    def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> tuple[bool, str]:
+    def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> ClosureAttempt:
         """Accept a verified closure now, keep it until another one confirms it, or refuse it."""
         offset = se2.log(se2.between(closure.T_target_source, T_predicted))
         surprise2 = mahalanobis2(offset, cov + closure.cov)
+        surprise = f"squared Mahalanobis distance {surprise2:.0f}"
         if surprise2 <= self.config.gate:
             self._accept([closure])
-            return True, "accepted"
+            return closure.attempt("accepted", "")
         if surprise2 > self.config.gate * self.config.surprise**2:
-            return False, f"refused: improbable, squared Mahalanobis distance {surprise2:.0f}"
+            return closure.attempt("refused", f"improbable, {surprise}")
         friends = [other for other in self.pending if self._agree(closure, other)]
         if friends:
             for other in friends:
                 self.pending.remove(other)
             self._accept([*friends, closure])
-            return True, f"accepted, confirmed by {len(friends)} others"
+            return closure.attempt("accepted", f"confirmed by {len(friends)} others")
         self.pending.append(closure)
-        return False, f"waits for another to confirm it, squared Mahalanobis distance {surprise2:.0f}"
+        return closure.attempt("waiting", surprise)
+
+    def locate(self, closure: Closure) -> ClosureAttempt:
+        """Let a closure between the old map and the piece of a lost robot vote on where the piece lies.
+
+        Once the votes agree, the piece is carried there and joined.
+        """
+        piece = closure.source.piece
+        if piece not in self._votes:
+            self._votes = {piece: []}
+        self._votes[piece].append(closure)
+        nodes = self.graph.poses()
+        votes = [self._vote(vote, nodes) for vote in self._votes[piece]]
+        elected = elect(votes)
+        if not elected:
+            return closure.attempt("waiting", f"lost: {len(votes)} places remembered so far")
+        winners = [self._votes[piece][k] for k in elected]
+        first = min(submap.anchor for submap in self.submaps if submap.piece == piece)
+        nodes[first:] = se2.compose(votes[elected[-1]].T_map_new[None, :], nodes[first:])
+        self._add_edges(winners)
+        self.graph.rebuild(nodes)
+        self._joined.add(piece)
+        self._votes = {}
+        return closure.attempt("accepted", f"found again, {len(winners)} closures agree")
+
+    def _vote(self, closure: Closure, nodes: FloatArray) -> Vote:
+        place = se2.compose(nodes[closure.target.anchor], closure.T_target_source)
+        T_map_new = se2.compose(place, se2.inverse(nodes[closure.source.anchor]))
+        return Vote(source=closure.source.number, T_map_new=T_map_new, place=place)
+
+    def _is_apart(self, a: Submap, b: Submap) -> bool:
+        """Tell whether nothing is known of the way between two local maps."""
+        if a.piece == b.piece:
+            return False
+        return not (a.piece in self._joined and b.piece in self._joined)
 
     def _candidates(self, source: Submap, nodes: FloatArray) -> list[tuple[Submap, FloatArray, FloatArray]]:
         """Earlier local maps that may show the same place, with the relative pose and its covariance."""
-        old = [s for s in self.submaps if source.path_m - s.path_m > self.config.min_path_m]
+        is_lost = source.piece not in self._joined
+        old = [
+            s
+            for s in self.submaps
+            if (s.piece in self._joined and s.piece != source.piece)
+            or (s.piece == source.piece and source.path_m - s.path_m > self.config.min_path_m)
+        ]
         if not old:
             return []
         T_map_source = nodes[source.anchor]
@@ -180,14 +242,16 @@ class LoopCloser:
         centres = se2.transform(T_map_old, np.array([s.centre for s in old])[:, None, :])[:, 0]
         distance_m = np.hypot(*(centres - centre).T)
         found: list[tuple[Submap, FloatArray, FloatArray]] = []
+        n_candidates = self.config.n_candidates_lost if is_lost else self.config.n_candidates
+        spacing = 2 if is_lost else 4
         for k in np.argsort(distance_m, kind="stable"):
-            if distance_m[k] > self.config.max_distance_m or len(found) == self.config.n_candidates:
+            if distance_m[k] > self.config.max_distance_m or len(found) == n_candidates:
                 break
-            if any(abs(old[k].number - other.number) < 4 for other, _, _ in found):
+            if any(abs(old[k].number - other.number) < spacing for other, _, _ in found):
                 continue
             cov = self.config.drift_scale**2 * self.graph.relative_covariance(old[k].anchor, source.anchor)
             reach_m = self.config.sigma_scale * math.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]) + 4.0
-            if distance_m[k] > reach_m:
+            if distance_m[k] > reach_m and not self._is_apart(old[k], source):
                 break
             found.append((old[k], se2.between(T_map_old[k], T_map_source), cov))
         return found
@@ -206,6 +270,9 @@ class LoopCloser:
         )
         start = np.empty(3)
         points = source.search_points
+        if self._is_apart(target, source):
+            search_m, search_rad = config.max_search_m, math.pi
+            points = points[:: 1 + len(points) // 200]  # a search of the full circle has to save time
         most = OCCUPIED_SCORE * len(points)
         score = self._search(
             prepared, points, T_predicted, search_m, search_rad, None, config.min_score * most, start
@@ -309,6 +376,10 @@ class LoopCloser:
         return bool(np.sum((offset / std) ** 2) < self.config.gate)
 
     def _accept(self, closures: list[Closure]) -> None:
+        self._add_edges(closures)
+        self.graph.update()
+
+    def _add_edges(self, closures: list[Closure]) -> None:
         for closure in closures:
             edge = self.graph.add_edge(
                 "closure",
@@ -318,11 +389,10 @@ class LoopCloser:
                 closure.information,
             )
             self.accepted.append((closure, edge))
-        self.graph.update()
 
-    def take_back(self) -> list[str]:
-        """Take out the closure that the others contradict most, until none is contradicted; tells which."""
-        events: list[str] = []
+    def take_back(self) -> list[ClosureAttempt]:
+        """Take out the closure that the rest of the graph contradicts most, until none is; tells which."""
+        taken: list[ClosureAttempt] = []
         while self.accepted:
             residual2 = self._residuals2()
             worst = int(np.argmax(residual2))
@@ -330,11 +400,9 @@ class LoopCloser:
                 break
             closure, edge = self.accepted.pop(worst)
             self.graph.remove_edges([edge])
-            events.append(
-                f"closure {closure.target.anchor}-{closure.source.anchor} taken back: the others contradict it, "
-                f"squared residual {residual2[worst]:.0f}"
-            )
-        return events
+            reason = f"the rest of the graph contradicts it, squared residual {residual2[worst]:.0f}"
+            taken.append(closure.attempt("taken back", reason))
+        return taken
 
     def _residuals2(self) -> FloatArray:
         """(k,) squared residuals of the accepted closures, each in its own covariance."""

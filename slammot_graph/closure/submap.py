@@ -29,11 +29,14 @@ class Submap:
     keyframes : tuple of Keyframe
     path_m : float
         Way driven up to the middle keyframe.
+    piece : int
+        How often the robot had been lost before: of the way between two pieces nothing is known.
     """
 
     number: int
     keyframes: tuple[Keyframe, ...]
     path_m: float
+    piece: int = 0
 
     @property
     def anchor(self) -> int:

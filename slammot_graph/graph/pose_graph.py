@@ -53,17 +53,12 @@ class PoseGraph:
     """
 
     def __init__(self, config: PoseGraphConfig) -> None:
-        parameters = gtsam.ISAM2Params()
-        parameters.setFactorization("QR")
-        parameters.setRelinearizeThreshold(config.relinearize_threshold)
-        parameters.relinearizeSkip = 1
-        parameters.enablePartialRelinearizationCheck = True
         self.config = config
         self.edges: list[GraphEdge] = []
         self._n_nodes = 0
         self._waiting: list[GraphEdge] = []
         self._factor_of: dict[int, int] = {}
-        self._isam = gtsam.ISAM2(parameters)
+        self._isam = _smoother(config)
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
         self._thread = _large_stack_thread()
@@ -73,10 +68,7 @@ class PoseGraph:
 
     def start(self, T_map_base: FloatArray) -> int:
         """Add the first node, held by the prior; returns its number, 0."""
-        sigmas = np.array([self.config.prior_std_m, self.config.prior_std_m, self.config.prior_std_rad])
-        pose = _pose(T_map_base)
-        self._new_factors.add(gtsam.PriorFactorPose2(0, pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
-        self._new_values.insert(0, pose)
+        self._add_prior(T_map_base)
         self._n_nodes = 1
         self.update()
         return 0
@@ -109,10 +101,8 @@ class PoseGraph:
         edge = GraphEdge(
             kind=kind, from_node=from_node, to_node=to_node, T_from_to=T_from_to, information=information
         )
-        noise = _noise(edge)
-        self._new_factors.add(gtsam.BetweenFactorPose2(from_node, to_node, _pose(T_from_to), noise))
+        self._add_factor(edge)
         self.edges.append(edge)
-        self._waiting.append(edge)
         return edge
 
     def update(self) -> None:
@@ -144,6 +134,22 @@ class PoseGraph:
         self._in_thread(remove)
         gone = {id(edge) for edge in edges}
         self.edges = [edge for edge in self.edges if id(edge) not in gone]
+
+    def rebuild(self, poses: FloatArray) -> None:
+        """Solve the whole graph anew from these poses (n, 3), as when a piece of it turns out to lie elsewhere.
+
+        Edges that wait for the next `update` come in as well.
+        """
+        self._isam = _smoother(self.config)
+        self._factor_of, self._waiting = {}, []
+        self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self._add_prior(poses[0])
+        for node, pose in enumerate(poses[1:], start=1):
+            self._new_values.insert(node, _pose(pose))
+        for edge in self.edges:
+            self._add_factor(edge)
+        self.update()
+        self._in_thread(self._isam.update)
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
@@ -188,6 +194,18 @@ class PoseGraph:
         H = np.hstack([-T_anchor_node.inverse().AdjointMap(), np.eye(3)])
         return _checked(H @ joint @ H.T, f"node {node} relative to node {anchor}")
 
+    def _add_prior(self, T_map_base: FloatArray) -> None:
+        sigmas = np.array([self.config.prior_std_m, self.config.prior_std_m, self.config.prior_std_rad])
+        pose = _pose(T_map_base)
+        self._new_factors.add(gtsam.PriorFactorPose2(0, pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+        self._new_values.insert(0, pose)
+
+    def _add_factor(self, edge: GraphEdge) -> None:
+        noise = _noise(edge)
+        between = gtsam.BetweenFactorPose2(edge.from_node, edge.to_node, _pose(edge.T_from_to), noise)
+        self._new_factors.add(between)
+        self._waiting.append(edge)
+
     def close(self) -> None:
         """End the graph's thread."""
         self._thread.shutdown(wait=True)
@@ -200,6 +218,15 @@ class PoseGraph:
             raise SlammotError(
                 f"the pose graph of {self._n_nodes} nodes cannot be solved: {cause}"
             ) from error
+
+
+def _smoother(config: PoseGraphConfig) -> gtsam.ISAM2:
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    parameters.setRelinearizeThreshold(config.relinearize_threshold)
+    parameters.relinearizeSkip = 1
+    parameters.enablePartialRelinearizationCheck = True
+    return gtsam.ISAM2(parameters)
 
 
 def _large_stack_thread() -> ThreadPoolExecutor:

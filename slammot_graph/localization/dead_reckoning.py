@@ -5,7 +5,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate
-from slammot_graph.result_types import MatchResult
+from slammot_graph.result_types import ClosureAttempt, MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray
 
@@ -14,6 +14,8 @@ class DeadReckoning:
     """Odometry alone; the local frame is the map, and starts at the first scan."""
 
     T_map_local = se2.IDENTITY
+    n_times_lost = 0
+    closures: tuple[ClosureAttempt, ...] = ()
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise

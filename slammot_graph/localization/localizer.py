@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from slammot_graph.linalg import invert
-from slammot_graph.result_types import GraphEdge, MatchResult
+from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
@@ -53,6 +53,14 @@ class FinalEstimate:
 
 class Localizer(Protocol):
     """Predict, match and commit, in this order, once a scan."""
+
+    @property
+    def n_times_lost(self) -> int:
+        """How often the local frame has lost its place."""
+
+    @property
+    def closures(self) -> tuple[ClosureAttempt, ...]:
+        """Loop closures tried by the last `commit`."""
 
     @property
     def T_map_local(self) -> FloatArray:

@@ -11,13 +11,14 @@ from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.linalg import invert, mahalanobis2
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
 from slammot_graph.matching import (
+    Keyframe,
     LocalMap,
     LocalMapConfig,
     PointToLineConfig,
     make_keyframe,
     match_to_local_map,
 )
-from slammot_graph.result_types import MatchResult
+from slammot_graph.result_types import ClosureAttempt, MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray
 
@@ -29,6 +30,9 @@ JUMP_INLIERS, JUMP_NIS = 0.6, 45.0
 
 MOST_NIS = 50.0
 """A single innovation counts for no more than this in the running mean of its normalised square."""
+
+CARRIED_WAY_M = 0.2
+"""A robot whose wheels turned less than this while it saw nothing may have been carried."""
 
 LOST_PATH_M = 20.0
 """Way that a lost robot may have been carried, when it comes to recognising places."""
@@ -78,7 +82,9 @@ class ScanToMap:
         self.graph = PoseGraph(graph)
         self.closer = None if closure is None else LoopCloser(closure, local_map, self.graph)
         self._n_submaps = 0
+        self.n_times_lost = 0
         self._path_m = 0.0
+        self._closures: tuple[ClosureAttempt, ...] = ()
         self._T_local_base: FloatArray = se2.IDENTITY
         self._T_local_before: FloatArray = se2.IDENTITY
         self._cov_relative: FloatArray = FIRST_COV
@@ -96,9 +102,15 @@ class ScanToMap:
         self._cov_odometry: FloatArray = np.zeros((3, 3))
         self._n_failed = 0
         self._n_blind = 0
+        self._T_odom_seen: FloatArray = se2.IDENTITY
         self._doubt = 0.0
         self._node_scans: list[int] = []
         self._visits: list[_Visit] = []
+
+    @property
+    def closures(self) -> tuple[ClosureAttempt, ...]:
+        """See `Localizer`."""
+        return self._closures
 
     @property
     def T_map_local(self) -> FloatArray:
@@ -189,22 +201,21 @@ class ScanToMap:
     ) -> tuple[int | None, list[str]]:
         """See `Localizer`."""
         events: list[str] = []
+        self._closures = ()
         has_points = bool(np.count_nonzero(is_static) >= self.matching.min_pairs)
         if self._match is not None and self._match.status == "failed":
             events.append(f"match failed: {self._match.reason}")
             self._n_failed += has_points and not self._match.is_refused
-            was_blind = has_points and self._n_blind >= self.n_lost
-            if was_blind or self._n_failed >= self.n_lost:
-                why = (
-                    f"no match after {self._n_blind} scans with nothing in sight"
-                    if was_blind
-                    else f"{self.n_lost} matches failed in a row"
-                )
-                events.append(f"lost: {why}, a new local map begins here")
-                self._leave_local_map()
         else:
             self._n_failed = 0
-        self._n_blind = 0 if has_points else self._n_blind + 1
+        why = self._why_lost(scan, has_points)
+        if why:
+            events.append(f"lost: {why}, a new local map begins here")
+            self._leave_local_map()
+        if has_points:
+            self._n_blind, self._T_odom_seen = 0, scan.T_odom_base
+        else:
+            self._n_blind += 1
         node = None
         if len(self.graph) == 0 or (has_points and self.local_map.wants(self._T_local_base)):
             node = self._add_node(scan)
@@ -260,6 +271,17 @@ class ScanToMap:
             T_local_base=self._T_local_base, cov_relative=self._cov_relative, cov_absolute=cov_absolute
         )
 
+    def _why_lost(self, scan: Scan, has_points: bool) -> str:
+        """Say why the robot is lost; empty if it is not.
+
+        Whoever carries a robot covers its laser, and the wheels stand still: then even a good match proves nothing.
+        """
+        if has_points and self._n_blind >= self.n_lost and self.local_map.keyframes:
+            way_m = float(np.hypot(*se2.between(self._T_odom_seen, scan.T_odom_base)[:2]))
+            if way_m < CARRIED_WAY_M or (self._match is not None and self._match.status == "failed"):
+                return f"{self._n_blind} scans with nothing in sight, the robot may have been carried"
+        return f"{self.n_lost} matches failed in a row" if self._n_failed >= self.n_lost else ""
+
     def _leave_local_map(self) -> None:
         """Begin anew: until the next keyframe the last node stands in for the anchor.
 
@@ -270,8 +292,15 @@ class ScanToMap:
         self._cov_anchor = self.graph.marginal(last)
         self._cov_relative = self._cov_odometry
         self._path_m += LOST_PATH_M
+        if self.closer is not None and len(self.local_map.keyframes) > 1:
+            self.closer.submaps.append(self._submap(tuple(self.local_map.keyframes)))
+        self.n_times_lost += 1
         self.local_map.start([])
         self._n_failed = 0
+
+    def _submap(self, keyframes: tuple[Keyframe, ...]) -> Submap:
+        self._n_submaps += 1
+        return Submap(self._n_submaps - 1, keyframes, self._path_m, self.n_times_lost)
 
     def _add_node(self, scan: Scan) -> int:
         """Add the scan to the graph, tied by odometry to the last node and by the match to the anchor."""
@@ -304,9 +333,8 @@ class ScanToMap:
         finished = self.local_map.add(keyframe)
         has_closed, events = False, list[str]()
         if finished and self.closer is not None:
-            submap = Submap(self._n_submaps, finished, self._path_m)
-            self._n_submaps += 1
-            has_closed, events = self.closer.consider(submap)
+            has_closed, self._closures = self.closer.consider(self._submap(finished))
+            events = [attempt.text for attempt in self._closures]
         anchor = self.local_map.anchor.node
         if has_closed:
             self._T_map_node = self.graph.pose(node)

@@ -60,8 +60,9 @@ def meet() -> Iterator[Meet]:
             graph.add_edge("odometry", k - 1, k, step, np.linalg.inv(np.diag(std) ** 2))
             graph.update()
         closer = LoopCloser(replace(LoopClosureConfig(), **changes), LocalMapConfig(), graph)
-        assert closer.consider(make_submap(0, truth[:N], there, 0.0)) == (False, [])
-        return closer, *closer.consider(make_submap(5, truth[N:], here, path_m))
+        assert closer.consider(make_submap(0, truth[:N], there, 0.0)) == (False, ())
+        changed, attempts = closer.consider(make_submap(5, truth[N:], here, path_m))
+        return closer, changed, [attempt.text for attempt in attempts]
 
     yield meet
     graph.close()

@@ -241,3 +241,32 @@ def test_impossible_graphs_are_refused(name: str) -> None:
     text = r"graph\.prior_std_m, prior_std_rad and relinearize_threshold must be positive"
     with pytest.raises(ConfigError, match=text):
         PoseGraphConfig(**{name: 0.0})
+
+
+def test_a_graph_rebuilt_gives_the_same_and_goes_on(graph: PoseGraph, rng: np.random.Generator) -> None:
+    fill(graph, rng)
+    poses, marginals = graph.poses(), graph.marginals()
+    graph.rebuild(poses)
+    np.testing.assert_allclose(graph.poses(), poses, atol=1e-6)
+    np.testing.assert_allclose(graph.marginals(), marginals, rtol=1e-3, atol=1e-9)
+    edge = graph.add_edge("closure", 3, 20, se2.between(poses[3], poses[20]), 1e4 * np.eye(3))
+    graph.update()
+    graph.remove_edges([edge])
+    np.testing.assert_allclose(graph.poses(), poses, atol=1e-3)
+
+
+def test_a_piece_carried_to_where_it_lies_stays_there(graph: PoseGraph) -> None:
+    """Half a turn is too much for small steps: the graph is solved from the poses that are given."""
+    step, weak, strong = np.array([0.5, 0.1, 0.05]), np.eye(3) / 9.0, 1e4 * np.eye(3)
+    graph.start(np.zeros(3))
+    for k in range(1, 20):
+        graph.add_node(se2.compose(graph.pose(k - 1), step))
+        graph.add_edge("odometry", k - 1, k, step, weak if k == 10 else strong)
+        graph.update()
+    poses = graph.poses()
+    T_map_new = np.array([3.0, 4.0, np.pi])
+    poses[10:] = se2.compose(T_map_new[None, :], poses[10:])
+    for source in (12, 18):
+        graph.add_edge("closure", 2, source, se2.between(poses[2], poses[source]), strong)
+    graph.rebuild(poses)
+    assert max(errors(graph.poses(), poses)) < 0.02

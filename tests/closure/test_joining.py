@@ -1,0 +1,61 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slammot_graph import se2
+from slammot_graph.closure.joining import LEAD, MIN_VOTES, N_RECENT, Vote, elect
+from slammot_graph.types import FloatArray
+
+TRUE = np.array([4.0, -3.0, 1.2])
+ALIAS = np.array([9.0, -3.0, 1.2])
+
+
+def votes_for(T_map_new: FloatArray, sources: range, seed: int = 0, std: float = 0.03) -> list[Vote]:
+    rng = np.random.default_rng(seed)
+    votes = []
+    for source in sources:
+        anchor = np.array([2.0 * source, 0.5, 0.1])  # where the local map lies in the new piece
+        noise = se2.exp(rng.normal(0.0, [std, std, 0.2 * std]))
+        place = se2.compose(se2.compose(T_map_new, anchor), noise)
+        T = se2.compose(place, se2.inverse(anchor))
+        votes.append(Vote(source=source, T_map_new=T, place=place))
+    return votes
+
+
+def test_enough_votes_that_agree_win() -> None:
+    assert elect([]) == []
+    assert elect(votes_for(TRUE, range(MIN_VOTES - 1))) == []
+    assert elect(votes_for(TRUE, range(MIN_VOTES))) == list(range(MIN_VOTES))
+
+
+def test_many_votes_of_one_local_map_are_one() -> None:
+    assert elect(votes_for(TRUE, range(1)) * (2 * MIN_VOTES)) == []
+
+
+def test_a_rival_place_holds_the_decision_up() -> None:
+    rivals = votes_for(ALIAS, range(2), seed=1)
+    few, many = votes_for(TRUE, range(MIN_VOTES)), votes_for(TRUE, range(int(2 * LEAD)))
+    assert elect(few + rivals) == []
+    assert elect(many + rivals) == list(range(len(many)))
+
+
+def test_a_place_that_only_looked_alike_is_forgotten_in_time() -> None:
+    alias = votes_for(ALIAS, range(MIN_VOTES - 1), seed=1)
+    later = votes_for(TRUE, range(N_RECENT + MIN_VOTES))
+    winners = elect(alias + later)
+    assert len(winners) == N_RECENT
+    assert min(winners) >= len(alias)
+
+
+def test_turned_places_are_other_places() -> None:
+    turned = se2.compose(TRUE, np.array([0.0, 0.0, 0.5]))
+    assert elect(votes_for(TRUE, range(3)) + votes_for(turned, range(3, 6))) == []
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_the_order_of_votes_does_not_matter(seed: int) -> None:
+    votes = votes_for(TRUE, range(7)) + votes_for(ALIAS, range(2), seed=1)
+    order = np.random.default_rng(seed).permutation(len(votes))
+    shuffled = elect([votes[k] for k in order])
+    assert sorted(int(order[k]) for k in shuffled) == sorted(elect(votes)) == list(range(7))

@@ -1,0 +1,142 @@
+"""The experiments that are sweeps of cells, in quick mode: tables and figures come out."""
+
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+from experiments import ablation, common, moving_points, noise_sweep, paper, paper_claim, walking_along
+from slammot_graph.methods import METHODS
+from slammot_graph.simulation import simulate
+
+
+def quick(name: str, output: Path, methods: Sequence[str], *more: str) -> str:
+    """Run a script's quick mode in this process, and give its table's file."""
+    module = importlib.import_module(f"experiments.{name}")
+    arguments = ["--quick", *more, "--jobs", "1", "--output", str(output)]
+    assert common.main(module.experiment, arguments) == 0
+    text = (output / "tables" / f"{name}.md").read_text(encoding="utf-8")
+    assert "Quick mode" in text
+    assert f"python -m experiments.{name} {' '.join(['--quick', *more])} --jobs 1`" in text
+    assert "nan" not in text.lower()
+    assert [method for method in methods if method not in text] == []
+    assert_rectangular(text)
+    results = (output / "results" / f"{name}.jsonl").read_text(encoding="utf-8")
+    assert len(results.splitlines()) > 1
+    return text
+
+
+def assert_rectangular(text: str) -> None:
+    """All rows of a Markdown table have as many cells as its head."""
+    for block in text.split("\n\n"):
+        lines = [line for line in block.splitlines() if line.startswith("|")]
+        assert len({line.count("|") for line in lines}) <= 1, block
+
+
+def assert_drawn(path: Path) -> None:
+    """A PNG with dark, light and coloured pixels on it."""
+    assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    pixels = image.imread(path)[:, :, :3]
+    assert min(pixels.shape[:2]) > 200
+    assert pixels.min() < 0.3
+    assert pixels.max() > 0.95
+    assert np.mean(np.ptp(pixels, axis=2) > 0.2) > 0.001
+
+
+def test_ablation(tmp_path: Path) -> None:
+    text = quick("ablation", tmp_path, tuple(METHODS), "--seeds", "1")
+    rows = [line.split(" | ")[0].strip("| ") for line in text.splitlines()]
+    assert [rows.count(method) for method in METHODS] == [2] * len(METHODS)  # one for each scenario
+    assert {"one-walker, ATE [m]", "two-walkers, ghost cells/m^2"} <= set(rows)
+
+
+def test_paper_claim(tmp_path: Path) -> None:
+    text = quick("paper_claim", tmp_path, paper_claim.METHODS)
+    assert "one-walker" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "methods"),
+    [
+        ("noise_sweep", noise_sweep.METHODS),
+        ("paper_map_and_ellipses", paper.METHODS),
+        ("paper_one_walker", paper.METHODS),
+        ("paper_two_walkers", paper.METHODS),
+    ],
+)
+def test_tables_with_a_figure(name: str, methods: Sequence[str], tmp_path: Path) -> None:
+    text = quick(name, tmp_path, methods, "--seeds", "1")
+    assert f"figures/{name}.png" in text
+    assert_drawn(tmp_path / "figures" / f"{name}.png")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("name", "methods"),
+    [("moving_points", moving_points.METHODS), ("walking_along", walking_along.METHODS)],
+)
+def test_tables_of_recorded_logs(
+    name: str, methods: Sequence[str], tmp_path: Path, recorded_data: Path
+) -> None:
+    if not (recorded_data / "freiburg" / "intel.clf.bz2").is_file():
+        pytest.skip(f"no intel log in {recorded_data}")
+    text = quick(name, tmp_path, methods)
+    assert "intel" in text
+    assert "aces:" not in text
+
+
+@pytest.mark.parametrize("script", [ablation, noise_sweep, paper_claim])
+def test_full_grids_are_made_of_cells_of_their_own(
+    script: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Every cell of the full sweep has a key and fits what computes it; nothing is run."""
+    asked: list[dict[str, object]] = []
+
+    class StopError(Exception):
+        pass
+
+    def stop(name: str, function, cells, options) -> None:  # type: ignore[no-untyped-def]
+        asked.extend(cells.values())
+        raise StopError
+
+    monkeypatch.setattr(script, "run_cells", stop)
+    with pytest.raises(StopError):
+        script.experiment(common.Options(output=tmp_path))  # type: ignore[attr-defined]
+    unlike = {tuple(cell.items()) for cell in asked}
+    assert len(unlike) == len(asked) > 100
+
+
+def test_paper_claim_asks_for_rates_that_the_laser_has() -> None:
+    for rate_hz in paper_claim.RATES_HZ:
+        simulate("one-walker", seed=0, n_people=0, rate_hz=rate_hz)
+
+
+def test_noise_sweep_ranks_the_methods() -> None:
+    medians = {"graph": 0.2, "odometry": float("nan"), "icp": 0.1, "docpfo": 0.1, "kiss-icp": 0.3}
+    assert noise_sweep.ranking(medians) == ["icp", "docpfo", "graph", "kiss-icp", "odometry"]
+    assert noise_sweep.best_baseline({**medians, "kiss-icp-odometry": 0.05}) == "kiss-icp-odometry"
+
+
+def test_noise_sweep_says_who_is_best_where(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def made(name, function, cells, options):  # type: ignore[no-untyped-def]
+        return {key: {"ate_m": made_up(**cell)} for key, cell in cells.items()}
+
+    def made_up(noise: float, people: int, seed: int, method: str, **_: object) -> float:
+        own = {"graph": 0.05, "odometry": 0.1 * noise, "kiss-icp": 0.02 * people}.get(method, 1.0)
+        return own + 0.001 * seed
+
+    monkeypatch.setattr(noise_sweep, "run_cells", made)
+    noise_sweep.experiment(common.Options(output=tmp_path))
+    text = (tmp_path / "tables" / "noise_sweep.md").read_text(encoding="utf-8")
+    winners, against = text.split("## ")[1:3]
+    rows = {line.split(" | ")[0]: line.strip("| ").split(" | ") for line in winners.splitlines()}
+    assert [cell.split()[0] for cell in rows["| 0"]] == ["0", *["odometry"] * 5]
+    assert rows["| 4"][1:3] == ["kiss-icp 0.0020 (graph 0.0520)", "kiss-icp 0.0220 (graph 0.0520)"]
+    assert rows["| 4"][3] == "**graph 0.0520** (kiss-icp 0.0620)"
+    assert "-0.0100 [-0.0100, -0.0100], 5 of 5 (kiss-icp)" in against
+    assert "graph has the least median in 12 of 25 fields" in text
+    assert_rectangular(text)
+    assert_drawn(tmp_path / "figures" / "noise_sweep.png")
