@@ -12,7 +12,7 @@ from slammot_graph.graph.odometry_noise import OdometryNoise
 from slammot_graph.grid import GridConfig, OccupancyGrid
 from slammot_graph.localization.localizer import FIRST_COV, FinalEstimate
 from slammot_graph.motion import Detection
-from slammot_graph.result_types import GridMap, StepResult
+from slammot_graph.result_types import GraphEdge, GridMap, StepResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import FloatArray
 
@@ -131,6 +131,10 @@ class KissIcpPipeline:
 
     def final_labels(self, T_map_base: FloatArray) -> None:
         """See `Pipeline.final_labels`; there are none."""
+
+    def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
+        """See `Pipeline.nodes_and_edges`; there is no graph."""
+        return np.empty((0, 3)), ()
 
     def final(self) -> FinalEstimate:
         """See `Pipeline.final`."""

@@ -403,8 +403,9 @@ def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
     if run_log.wants_map:
         run_log.log_map(run.pipeline.render_map())
     if run_log.wants_graph:
-        final = run.pipeline.final()
-        run_log.log_graph(final.nodes, final.edges)
+        run_log.log_graph(*run.pipeline.nodes_and_edges())
+    if run_log.wants_nodes:
+        run_log.log_nodes(run.pipeline.nodes_and_edges()[0])
 
 
 def _make_run_log(run: "Run", output: Path, mode: RerunMode) -> "RunLog":

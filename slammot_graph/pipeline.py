@@ -34,7 +34,7 @@ from slammot_graph.motion import (
     reasons,
 )
 from slammot_graph.motion.hindsight import Judged, judge_in_hindsight
-from slammot_graph.result_types import GridMap, MatchResult, StepResult, TrackState
+from slammot_graph.result_types import GraphEdge, GridMap, MatchResult, StepResult, TrackState
 from slammot_graph.scan import Scan
 from slammot_graph.stopwatch import Stopwatch
 from slammot_graph.types import BoolArray, FloatArray
@@ -248,6 +248,10 @@ class Pipeline:
             tracks=self.config.tracks,
         )
 
+    def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
+        """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""
+        return self.localizer.nodes_and_edges()
+
     def final(self) -> FinalEstimate:
         """Give the trajectory and the graph of all scans so far, optimised."""
         return self.localizer.final()
@@ -258,7 +262,7 @@ class Pipeline:
             return self.grid.to_map()
         grid = OccupancyGrid(self.config.grid)
         for number, (view, T_map_base) in enumerate(
-            zip(self._node_views, self.localizer.final().nodes, strict=False)  # a step cut short has no view
+            zip(self._node_views, self.nodes_and_edges()[0], strict=False)  # a step cut short has no view
         ):
             ends, is_beam = _beams(view.scan, view.scan.points_base(), view.is_valid, 0.0)
             ends = se2.transform(T_map_base, ends)

@@ -8,15 +8,23 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, get_args
 
 import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import InputError
-from slammot_graph.result_types import GraphEdge, GridMap, RunResult, StepResult, TrackState
+from slammot_graph.result_types import (
+    ClosureStatus,
+    GraphEdge,
+    GridMap,
+    RunResult,
+    StepResult,
+    TrackState,
+)
 from slammot_graph.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -29,6 +37,10 @@ STATIC_ELLIPSE_EVERY = 10
 """Of the static beams only one in so many shows its ellipse; every moving one does."""
 TRAIL_SCANS = 150
 """How long tracks and moving points stay visible behind the cursor [scans]."""
+SHIFT_SCANS = 30
+"""How long the graph as it was before and after a closure stays visible behind the cursor [scans]."""
+MAX_SHIFT_NODES = 1000
+"""Longer graphs are thinned to about so many nodes where they are drawn as they were before and after."""
 MAX_VIEW_NODES = 300
 """The graph view shows the shape of the graph, thinned to about so many nodes."""
 MAP_SHARE, GRAPH_SHARE = 0.15, 0.10
@@ -45,6 +57,13 @@ COLOR_STATIC = 0x2F6FB5FF
 COLOR_MOVING = 0xE3342FFF
 COLOR_CLOSURE = 0xCC33AAFF
 COLOR_MATCH = 0x56B4E9FF
+COLOR_BEFORE, COLOR_AFTER = 0x8C564BFF, 0x00A5B5FF
+ATTEMPT_COLORS: Mapping[ClosureStatus, int] = {
+    "accepted": 0x2CA02CFF,
+    "waiting": 0xFFA000FF,
+    "refused": 0x66666690,
+    "taken back": 0xD62728FF,
+}
 TRACK_COLORS = (
     0xD55E00FF,
     0x7B3FA0FF,
@@ -67,9 +86,12 @@ LEGEND = """
 | orange line | raw odometry, started at the same place |
 | green line | truth, where it is known |
 | numbered points with arrows | tracks with their velocity and 95% ellipse |
-| pink lines | loop closures |
+| pink lines | loop closures of the graph |
+| green, amber, red lines | loop closures when they were accepted, held back, taken back |
+| grey lines | those last refused, hidden unless you switch `closures/refused` on |
+| brown and cyan line | for some scans: the graph before and after a closure |
 
-Select a point to read its beam, `p_moving_percent` and `reason`.
+Select a point to read its beam, `p_moving_percent` and `reason`, and a loop closure to read why.
 """
 
 
@@ -84,14 +106,21 @@ class RunLog(Protocol):
     def wants_graph(self) -> bool:
         """Whether the graph is due now; ask before collecting it."""
 
+    @property
+    def wants_nodes(self) -> bool:
+        """Whether a closure has moved the nodes; ask before collecting them, and after a graph that is due."""
+
     def log_step(self, step: StepResult) -> None:
-        """Log one scan's outcome; its arrays must not change afterwards."""
+        """Log one scan's outcome, of every scan from the first; its arrays must not change afterwards."""
 
     def log_map(self, grid: GridMap) -> None:
         """Log the map as it is after the last step."""
 
     def log_graph(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
         """Log the graph as it is after the last step: node poses (m, 3) in the map frame, and edges."""
+
+    def log_nodes(self, nodes: FloatArray) -> None:
+        """Log what the last closure did to the nodes: their poses (m, 3) as they are after the last step."""
 
     def finish(self, result: RunResult) -> None:
         """Log the whole run's outcome: final trajectory, map, graph and figures."""
@@ -105,6 +134,7 @@ class NoRunLog:
 
     wants_map = False
     wants_graph = False
+    wants_nodes = False
 
     def log_step(self, step: StepResult) -> None:
         """Do nothing."""
@@ -113,6 +143,9 @@ class NoRunLog:
         """Do nothing."""
 
     def log_graph(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
+        """Do nothing."""
+
+    def log_nodes(self, nodes: FloatArray) -> None:
         """Do nothing."""
 
     def finish(self, result: RunResult) -> None:
@@ -156,6 +189,9 @@ class RerunLog:
         )
         self._scans_per_send = SCANS_PER_SEND_LIVE if spawn else SCANS_PER_SEND
         self._steps: list[StepResult] = []
+        self._tried: list[_Tried] = []
+        self._nodes: list[FloatArray] = []  # as they were last told, or else as each was when it was added
+        self._nodes_before: FloatArray | None = None
         self._last_step: StepResult | None = None
         self._sent = _Sent()
         self._budget = {"map": _Budget(MAP_SHARE, 20), "graph": _Budget(GRAPH_SHARE, 50)}
@@ -186,11 +222,17 @@ class RerunLog:
         """Whether the graph is due now."""
         return self._budget["graph"].is_due(self._n_scans, self._sent.n_bytes)
 
+    @property
+    def wants_nodes(self) -> bool:
+        """Whether a closure has moved the nodes and nobody has said where to."""
+        return self._nodes_before is not None
+
     def log_step(self, step: StepResult) -> None:
         """Keep one step; a batch of them is sent at a time."""
         if self._last_step is None:
             with self._errors():
                 self._send_blueprint(step.T_map_base[:2], 15.0, has_truth=_has_truth(step))
+        self._follow_graph(step)
         self._steps.append(step)
         self._last_step = step
         self._n_scans += 1
@@ -236,6 +278,22 @@ class RerunLog:
                 self._rec.log(f"/world/graph/{kind}", rr.LineStrips3D(strips))
             self._log_graph_view(nodes, edges)
         self._budget["graph"].spend(self._n_scans, 12.0 * len(nodes) + 24.0 * len(edges))
+        self.log_nodes(nodes)
+
+    def log_nodes(self, nodes: FloatArray) -> None:
+        """Log the nodes before and after the last closure, where that has not been done yet."""
+        import rerun as rr
+
+        self._nodes = list(nodes)
+        before, self._nodes_before = self._nodes_before, None
+        if before is None:
+            return
+        with self._errors():
+            self._set_time()
+            for name, poses, z in (("before", before, 0.032), ("after", nodes[: len(before)], 0.034)):
+                kept = _thinned(len(poses), MAX_SHIFT_NODES)
+                strip = _at_height(poses[None, kept, :2], z)
+                self._rec.log(f"/world/closures/graph_{name}", rr.LineStrips3D(strip))
 
     def finish(self, result: RunResult) -> None:
         """Log the final trajectory, map, graph and figures, and a layout that fits the final map."""
@@ -266,6 +324,24 @@ class RerunLog:
         finally:
             self._rec.disconnect()
 
+    def _follow_graph(self, step: StepResult) -> None:
+        """Keep the nodes' poses, and between which of them a closure was tried.
+
+        The pose of a step that closes a loop is the corrected one already; its node is put where it was before.
+        """
+        has_closed = any(attempt.status == "accepted" for attempt in step.closures)
+        if step.node is not None:
+            last = self._last_step
+            self._nodes.append(_uncorrected(last, step) if has_closed and last else step.T_map_base)
+        if step.closures:
+            ends = [
+                (self._nodes[attempt.target_node], self._nodes[attempt.source_node])
+                for attempt in step.closures
+            ]
+            self._tried.append(_Tried(step, np.array(ends)[..., :2]))
+        if has_closed and self._nodes_before is None:
+            self._nodes_before = np.array(self._nodes)
+
     # ---------------------------------------------------------------- sending
 
     def _send_steps(self) -> None:
@@ -279,6 +355,7 @@ class RerunLog:
             self._send_tracks([step.tracks for step in steps], _Times(steps))
             self._send_plots(steps)
             self._send_texts(steps)
+            self._send_closures()
 
     def _send_scans(self, steps: list[StepResult]) -> None:
         """Send end points, ellipses and the robot's place."""
@@ -396,6 +473,26 @@ class RerunLog:
         self._send_batches("/world/tracks/trail", times, trail, n_tracks)
         self._send_ellipses("/world/tracks/cov", times, centre, cov, n_tracks, 0.075)
 
+    def _send_closures(self) -> None:
+        """Send one batch per status and step that tried any; an empty one clears those tried before."""
+        import rerun as rr
+
+        tried, self._tried = self._tried, []
+        if not tried:
+            return
+        times = _Times([of_step.step for of_step in tried])
+        attempts = [attempt for of_step in tried for attempt in of_step.step.closures]
+        segments = np.concatenate([of_step.segments for of_step in tried])
+        row = np.repeat(np.arange(len(tried)), [len(of_step.segments) for of_step in tried])
+        for status in get_args(ClosureStatus):
+            rows = [k for k, attempt in enumerate(attempts) if attempt.status == status]
+            lines = rr.LineStrips3D.columns(
+                strips=_at_height(segments[rows], 0.036), labels=[attempts[k].text for k in rows]
+            )
+            self._send_batches(
+                _closure_path(status), times, lines, np.bincount(row[rows], minlength=len(tried))
+            )
+
     def _send_plots(self, steps: list[StepResult]) -> None:
         times = _Times(steps)
         for stage in dict.fromkeys(chain.from_iterable(step.stage_ms for step in steps)):
@@ -503,8 +600,7 @@ class RerunLog:
 
         closures = [(edge.from_node, edge.to_node) for edge in edges if edge.kind == "closure"]
         ends = set(chain.from_iterable(closures))
-        step = max(1, math.ceil(len(nodes) / MAX_VIEW_NODES))
-        kept = sorted(ends | set(range(0, len(nodes), step)))
+        kept = sorted(ends | set(_thinned(len(nodes), MAX_VIEW_NODES)))
         names = [str(node) for node in kept]
         self._rec.log(
             "/graph/chain",
@@ -533,6 +629,14 @@ class RerunLog:
         except (RuntimeError, OSError) as error:
             lines = str(error).strip().splitlines() or [type(error).__name__]
             raise InputError(f"cannot write {self._target}: {lines[0]}; {self._remedy}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A step that tried closures, and the places (k, 2, 2) of their nodes just before."""
+
+    step: StepResult
+    segments: FloatArray
 
 
 class _Sent:
@@ -642,6 +746,11 @@ def _log_style(rec: "rr.RecordingStream") -> None:
     line("/world/graph/odometry", COLOR_ODOMETRY, 0.8)
     line("/world/graph/match", COLOR_MATCH, 1.2)
     line("/world/graph/closure", COLOR_CLOSURE, 1.5)
+    for status, color in ATTEMPT_COLORS.items():
+        line(_closure_path(status), color, 1.0 if status == "refused" else 2.5)
+        style(_closure_path(status), rr.LineStrips3D.from_fields(show_labels=False))
+    line("/world/closures/graph_before", COLOR_BEFORE, 1.5)
+    line("/world/closures/graph_after", COLOR_AFTER, 1.5)
     states = {"converged": 0x4CAF50FF, "degenerate": 0xF2A900FF, "failed": COLOR_MOVING, "none": 0x777777FF}
     style(
         "/state/match",
@@ -691,6 +800,11 @@ def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.
     def plot(name: str, group: str) -> "rrb.TimeSeriesView":
         return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name)
 
+    of_closures = {
+        _closure_path("accepted"): until_cursor(),
+        "/world/closures/graph_before": until_cursor(SHIFT_SCANS),
+        "/world/closures/graph_after": until_cursor(SHIFT_SCANS),
+    }
     x, y = float(centre[0]), float(centre[1])
     map_eye = from_above(x, y, 1.2 * extent_m, (0.0, 1.0, 0.0))
     map_view = _seen_from_above(
@@ -704,10 +818,12 @@ def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.
             "/world/truth/path": until_cursor(),
             "/world/tracks/trail": until_cursor(TRAIL_SCANS),
             "/world/moving/points": until_cursor(TRAIL_SCANS),
+            _closure_path("refused"): rrb.EntityBehavior(visible=False),
+            **of_closures,
         },
     )
-    graph_entities = ["/world/map/**", "/world/graph/**", "/world/final/**"]
-    graph_map = _seen_from_above("Graph on the map", "/world", graph_entities, map_eye)
+    graph_entities = ["/world/map/**", "/world/graph/**", "/world/closures/**", "/world/final/**"]
+    graph_map = _seen_from_above("Graph on the map", "/world", graph_entities, map_eye, {**of_closures})
     scan_eye = from_above(0.0, 0.0, 16.0, (1.0, 0.0, 0.0))
     scan_view = _seen_from_above("Scan, robot's frame", "/world/robot", ["/world/robot/**"], scan_eye)
     plots = [
@@ -762,6 +878,22 @@ def _at_height(xy: FloatArray, z: float) -> Any:
     xyz[..., :2] = xy
     xyz[..., 2] = z
     return xyz
+
+
+def _closure_path(status: ClosureStatus) -> str:
+    return f"/world/closures/{status.replace(' ', '_')}"
+
+
+def _thinned(n: int, n_most: int) -> range:
+    """Evenly spaced indices below n, about so many at most."""
+    return range(0, n, max(1, math.ceil(n / n_most)))
+
+
+def _uncorrected(last: StepResult, step: StepResult) -> FloatArray:
+    """(3,) pose of a step that closed a loop, as it would have been without."""
+    increment = se2.between(last.scan.T_odom_base, step.scan.T_odom_base)
+    innovation = se2.between(step.T_map_base_predicted, step.T_map_base)
+    return se2.compose(se2.compose(last.T_map_base, increment), innovation)
 
 
 def _axes(cov: FloatArray) -> tuple[FloatArray, FloatArray]:

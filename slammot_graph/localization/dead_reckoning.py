@@ -5,7 +5,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate
-from slammot_graph.result_types import ClosureAttempt, MatchResult
+from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray
 
@@ -48,6 +48,10 @@ class DeadReckoning:
         """See `Localizer`."""
         self._history.append(self.estimate)
         return None, []
+
+    def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
+        """See `Localizer`; there is no graph."""
+        return np.empty((0, 3)), ()
 
     def final(self) -> FinalEstimate:
         """See `Localizer`."""

@@ -86,6 +86,9 @@ class Localizer(Protocol):
         Returns the number of the node that was added, if any, and what a person should know.
         """
 
+    def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
+        """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""
+
     def final(self) -> FinalEstimate:
         """Give the whole trajectory, optimised."""
 

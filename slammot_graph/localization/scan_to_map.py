@@ -18,7 +18,7 @@ from slammot_graph.matching import (
     make_keyframe,
     match_to_local_map,
 )
-from slammot_graph.result_types import ClosureAttempt, MatchResult
+from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray
 
@@ -231,6 +231,10 @@ class ScanToMap:
         )
         self._visits.append(visit)
         return node, events
+
+    def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
+        """See `Localizer`."""
+        return self.graph.poses(), tuple(self.graph.edges)
 
     def final(self) -> FinalEstimate:
         """See `Localizer`."""
