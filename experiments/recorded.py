@@ -11,16 +11,29 @@ from slammot_graph import Run, open_log
 from slammot_graph.evaluation import Relations, read_relations
 from slammot_graph.result_types import GridMap
 from slammot_graph.simulation import SimulatedLog, inject, inject_along
-from slammot_graph.types import FloatArray
+from slammot_graph.types import BoolArray, FloatArray
+
+MIN_WAY_M = 2.0
+"""Who got this far from where he was first seen is a person."""
+
+NEAR_M = 0.6
+"""Returns this near to a tracked person's place are taken for his."""
+
+BACKWARD_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference:
-    """What a `graph` run over the log as recorded says."""
+    """What a `graph` run over the log as recorded says.
+
+    `people` (k, 3): scan and place [m] of objects that walked `MIN_WAY_M`, who are in the log though nobody
+    labelled them.
+    """
 
     stamps: FloatArray
     T_map_base: FloatArray
     grid: GridMap
+    people: FloatArray
 
 
 def make_reference(name: str, options: Options, max_scans: int | None = None) -> str:
@@ -36,7 +49,7 @@ def make_reference(name: str, options: Options, max_scans: int | None = None) ->
     """
     log = open_log(options.recorded(f"{name}.clf.bz2"))
     part = "whole" if max_scans is None else str(max_scans)
-    path = options.folder("results") / f"reference-{name}-{part}-{code_state()}.npz"
+    path = options.folder("results") / f"reference-people-{name}-{part}-{code_state()}.npz"
     if path.exists():
         return str(path)
     say(f"{name}: making the reference trajectory with graph ({part})")
@@ -56,9 +69,42 @@ def make_reference(name: str, options: Options, max_scans: int | None = None) ->
             p_occupied=result.grid.p_occupied,
             resolution_m=result.grid.resolution_m,
             origin=result.grid.origin,
+            people=_who_walked(result.tracks),
         )
     unfinished.rename(path)
     return str(path)
+
+
+def _who_walked(tracks: FloatArray) -> FloatArray:
+    """(k, 3) scan and place of the tracks, as in `RunResult.tracks`, that got `MIN_WAY_M` away from their start.
+
+    A second before its first sight each is continued backward, since a track begins late.
+    """
+    found = []
+    for number in np.unique(tracks[:, 1]):
+        track = tracks[tracks[:, 1] == number]
+        way_m = np.hypot(*(track[:, 2:4] - track[0, 2:4]).T).max()
+        if way_m < MIN_WAY_M:
+            continue
+        first = int(track[0, 9])
+        n = max(1, int(len(track) * BACKWARD_S / max(track[-1, 0] - track[0, 0], BACKWARD_S)))
+        for back in range(1, min(n, first) + 1):
+            seconds = back * BACKWARD_S / n
+            found.append([first - back, *(track[0, 2:4] - seconds * track[0, 4:6])])
+        found += track[:, [9, 2, 3]].tolist()
+    return np.array(found).reshape(-1, 3)
+
+
+def is_of_the_log(log: SimulatedLog, reference: str) -> BoolArray:
+    """(n, beams) returns that were recorded within `NEAR_M` of a person who is in the log itself."""
+    people = read_reference(reference).people
+    near = np.zeros(log.ranges.shape, dtype=np.bool_)
+    for k, (scan, T) in enumerate(zip(log, log.T_world_base, strict=True)):
+        places = people[people[:, 0] == k, 1:]
+        if len(places):
+            offset = scan.points(T)[:, None, :] - places[None]
+            near[k] = (np.hypot(offset[..., 0], offset[..., 1]) < NEAR_M).any(axis=1)
+    return near & ~log.is_moving
 
 
 @lru_cache(maxsize=2)
@@ -68,7 +114,9 @@ def read_reference(path: str) -> Reference:
         grid = GridMap(
             p_occupied=data["p_occupied"], resolution_m=float(data["resolution_m"]), origin=data["origin"]
         )
-        return Reference(stamps=data["stamps"], T_map_base=data["T_map_base"], grid=grid)
+        return Reference(
+            stamps=data["stamps"], T_map_base=data["T_map_base"], grid=grid, people=data["people"]
+        )
 
 
 @lru_cache(maxsize=1)

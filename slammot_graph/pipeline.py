@@ -210,7 +210,7 @@ class Pipeline:
             self._update_map(scan, points_base, is_valid, is_static, matched, node)
         with watch.stage("objects"):
             tracks = self._track(scan, detection, matched)
-        self._remember(scan, is_valid, detection, matched)
+        self._remember(scan, is_valid, detection, matched, match)
         self.afterimage.remember(scan, matched.T_local_base, is_valid)
         T_map_local = self.localizer.T_map_local
         return StepResult(
@@ -317,7 +317,14 @@ class Pipeline:
             self.config.afterimage.reach_m,
         )
 
-    def _remember(self, scan: Scan, is_valid: BoolArray, detection: Detection, matched: Estimate) -> None:
+    def _remember(
+        self,
+        scan: Scan,
+        is_valid: BoolArray,
+        detection: Detection,
+        matched: Estimate,
+        match: MatchResult | None,
+    ) -> None:
         """Keep what the final labels need."""
         if not (self.config.hindsight and self.config.filter_moving):
             return
@@ -332,6 +339,7 @@ class Pipeline:
             has_walked=has_walked,
             cov_relative=self._test_covariance(matched),
             window=self.grid.oldest,
+            is_doubtful=match is not None and match.status == "failed",
         )
         self._judged.append(kept)
 

@@ -36,6 +36,8 @@ class Judged:
         Covariance of the matched pose in the test.
     window : int
         Number of the scan in the log with which the test's memory began.
+    is_doubtful : bool
+        The scan could not be matched.
     """
 
     scan: Scan
@@ -45,6 +47,7 @@ class Judged:
     has_walked: BoolArray
     cov_relative: FloatArray
     window: int
+    is_doubtful: bool
 
 
 def judge_in_hindsight(
@@ -93,7 +96,12 @@ def judge_in_hindsight(
 
 
 def _combine(item: Judged, later: Detection, walks_later: BoolArray) -> BoolArray:
-    """Moving if called so then or now; a wall on the other side of time takes back what has not walked."""
+    """Moving if called so then or now; a wall on the other side of time takes back what has not walked.
+
+    At a pose that no match supports, what was decided at the time stays.
+    """
+    if item.is_doubtful:
+        return item.is_moving
     before = item.is_moving & ((later.reason != reasons.OCCUPIED) | item.has_walked)
     after = later.is_moving & (~item.is_wall | walks_later)
     return np.asarray(before | after)
@@ -113,9 +121,9 @@ def _last_in_window(judged: Sequence[Judged]) -> list[int]:
 
 
 def _follow(tracker: Tracker, item: Judged, later: Detection, points: FloatArray) -> BoolArray:
-    """Track backward in time; returns the beams on objects that have walked."""
+    """Track backward in time; returns the beams on objects that have walked, less those that were mostly wall."""
     tracker.update(-item.scan.stamp, *later.clusters(points))
     has_walked = np.zeros(len(points), dtype=np.bool_)
     for track in tracker.walked():
-        has_walked[track.beams] = True
+        has_walked[track.beams] = 2 * np.count_nonzero(item.is_wall[track.beams]) <= len(track.beams)
     return has_walked

@@ -86,7 +86,7 @@ def made(ours: tuple[int, int], theirs: int, n_wrong: int) -> dict[str, Any]:
         "n": {"same": 10, "opposite": 0, "negative": 10},
         "search": {"1": {"verified": score(ours[0])}, "6": {"verified": score(ours[1], n_wrong)}},
         "density": {
-            "x": {"alone": {str(n): score(theirs) for n in thresholds}, "verified": score(theirs, 1)}
+            "x": {"alone": {str(n): score(theirs) for n in thresholds}, "verified": score(theirs + 1, 1)}
         },
     }
 
@@ -95,7 +95,9 @@ def test_the_conclusion_follows_from_the_figures() -> None:
     def said(*scores: Any) -> str:
         return place_recognition.conclusion({"lab": made(*scores)}, "x")
 
-    assert "search finds more, ours 80 to 90%, density maps 50%." in said((9, 8), 5, 0)
+    assert "lab: the search finds more (ours 90% at 1 m, 80% at 6 m; density maps 50%)." in said((9, 8), 5, 0)
     assert "density maps find more" in said((3, 4), 5, 0)
     assert "it depends on the drift" in said((9, 4), 5, 0)
-    assert "ours 90 to 90%, density maps 50% (but ours has 2 wrong at 6)" in said((9, 4), 5, 2)
+    wrong = said((9, 8), 5, 2)
+    assert "lab: ours is not at full precision" in wrong
+    assert wrong.endswith("wrong answers of ours: 2 at 6 m.")
