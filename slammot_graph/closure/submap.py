@@ -112,13 +112,16 @@ class PreparedSubmap:
             grid.update(number, ends[0], ends[1:], all_beams, all_beams)
         margin = 1 << (N_LEVELS - 1)
         seen = grid.to_map()
-        p = np.pad(seen.p_occupied, margin, constant_values=np.nan)
         points, _ = submap.points_and_normals
-        self.origin = seen.origin - margin * CELL_M
+        # the search's bounds hold only if the margin holds no point, nor a cell beside one
+        cells = np.floor((points - seen.origin) / CELL_M).astype(np.int64)
+        below = margin + 1 + np.maximum(-cells.min(axis=0), 0)
+        above = margin + 1 + np.maximum(cells.max(axis=0) + 1 - np.array(seen.p_occupied.shape)[::-1], 0)
+        pads = ((below[1], above[1]), (below[0], above[0]))
+        p = np.pad(seen.p_occupied, pads, constant_values=np.nan)
+        self.origin = seen.origin - below * CELL_M
         is_point = np.zeros(p.shape, dtype=np.bool_)
-        cells = np.floor((points - self.origin) / CELL_M).astype(np.int64)
-        inside = (cells >= 0).all(axis=1) & (cells < np.array(p.shape)[::-1]).all(axis=1)
-        is_point[cells[inside, 1], cells[inside, 0]] = True
+        is_point[cells[:, 1] + below[1], cells[:, 0] + below[0]] = True
         is_beside = maximum_filter(is_point, size=3)
         with np.errstate(invalid="ignore"):
             is_free = p < 0.3

@@ -171,3 +171,25 @@ def test_the_same_room_shifted_lies_in_free_space(submap: Submap, prepared: Prep
     assert shares[0] == 0.0
     assert shares[1] < 0.15
     assert min(shares[2:]) > max(2.0 * shares[1], 0.1)
+
+
+def test_the_margin_of_the_search_is_empty_whoever_sees_farthest() -> None:
+    """Every other keyframe makes the free space; a point that only the others saw counts too."""
+    for k in range(3):
+        submap = room_submap()
+        keyframes = list(submap.keyframes)
+        far = np.array([[30.0, -25.0]])
+        keyframes[k] = replace(
+            keyframes[k],
+            points_base=np.vstack([keyframes[k].points_base, far]),
+            normals_base=np.vstack([keyframes[k].normals_base, np.zeros((1, 2))]),
+        )
+        prepared = PreparedSubmap(Submap(0, tuple(keyframes), 0.0))
+        margin = 1 << (N_LEVELS - 1)
+        inside = prepared.score[margin:-margin, margin:-margin]
+        assert (prepared.score > 0).sum() == (inside > 0).sum()
+        points = Submap(0, tuple(keyframes), 0.0).points_and_normals[0]
+        cells = np.floor((points - prepared.origin) / CELL_M).astype(int)
+        assert (
+            prepared.score[cells[:, 1], cells[:, 0]] >= NEIGHBOUR_SCORE
+        ).all()  # rounding moves some by a cell
