@@ -21,7 +21,7 @@ from slammot_graph.scan import Scan
 METHODS = {False: "kiss-icp", True: "kiss-icp-odometry"}
 """By `use_odometry`, the start value of each registration."""
 LOGS = ("intel", "aces")
-N_SCANS, QUICK_SCANS = 1500, 120
+N_SCANS, QUICK_SCANS = 800, 120
 MAX_DURATION_S = 10.0
 
 VOXELS_M = (0.1, 0.2, 0.3, 0.5, 1.0)

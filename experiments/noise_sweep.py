@@ -14,7 +14,8 @@ from slammot_graph.evaluation import absolute_error
 
 SCENARIO, QUICK_SCENARIO = "lab", "one-walker"
 PEOPLE, NOISES = (0, 1, 3, 6, 12), (0.0, 0.5, 1.0, 2.0, 4.0)
-QUICK_PEOPLE, QUICK_NOISES, QUICK_RATE_HZ = (0, 6), (0.0, 2.0), 5.0
+QUICK_PEOPLE, QUICK_NOISES = (0, 6), (0.0, 2.0)
+RATE_HZ = 5.0
 FULL_SEEDS = 5
 METHODS = ("graph", "odometry", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")
 BASELINES = METHODS[1:]
@@ -47,7 +48,7 @@ def experiment(options: Options) -> None:
     """Who has the least ATE, by the odometry's noise and the number of people, with graph and its baselines."""
     seeds = options.seed_range(FULL_SEEDS)
     scenario = QUICK_SCENARIO if options.quick else SCENARIO
-    rate_hz = QUICK_RATE_HZ if options.quick else None
+    rate_hz = RATE_HZ
     people = QUICK_PEOPLE if options.quick else PEOPLE
     noises = QUICK_NOISES if options.quick else NOISES
     cells = {
