@@ -268,7 +268,7 @@ def _carried_row(name: str, cover: str, carried: Carried) -> list[str]:
         if min(node_scans[[edge.from_node, edge.to_node]]) < carried.first_covered
         and max(node_scans[[edge.from_node, edge.to_node]]) >= carried.first_after
     ]
-    lost = [scan for scan, text in result.events if "lost:" in text]
+    lost = [scan for scan, text in result.events if text.startswith("lost:")]
     n = carried.first_covered
     before = absolute_error(result.T_map_base[:n], log.T_world_base[:n])
     laid = se2.compose(before.T_world_map[None, :], result.T_map_base)

@@ -204,7 +204,7 @@ class LoopCloser:
         votes = [self._vote(vote, nodes) for vote in self._votes[piece]]
         elected = elect(votes)
         if not elected:
-            return closure.attempt("waiting", f"lost: {len(votes)} places remembered so far")
+            return closure.attempt("waiting", f"where the lost robot is: {len(votes)} votes so far")
         winners = [self._votes[piece][k] for k in elected]
         first = min(submap.anchor for submap in self.submaps if submap.piece == piece)
         nodes[first:] = se2.compose(votes[elected[-1]].T_map_new[None, :], nodes[first:])

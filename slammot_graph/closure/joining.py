@@ -15,8 +15,8 @@ from slammot_graph.types import BoolArray, FloatArray
 SAME_PLACE_M, SAME_PLACE_RAD = 0.6, 0.1
 """Two votes within these bounds are for the same place."""
 
-MIN_VOTES = 5
-"""Local maps of the new piece that must agree."""
+MIN_VOTES, MIN_VOTES_ALONE = 5, 4
+"""Local maps of the new piece that must agree; and where no vote is for any other place."""
 
 LEAD = 3.0
 """The winner has this many times the votes of the next."""
@@ -55,7 +55,8 @@ def elect(votes: list[Vote]) -> list[int]:
     n_votes = np.array([len(set(sources[group])) for group in groups])
     best = int(np.argmax(np.where(is_recent, n_votes, 0)))
     most_elsewhere = int(n_votes[is_recent & ~groups[best]].max(initial=0))
-    if n_votes[best] < MIN_VOTES or n_votes[best] < LEAD * most_elsewhere:
+    needed = max(MIN_VOTES, LEAD * most_elsewhere) if most_elsewhere else MIN_VOTES_ALONE
+    if n_votes[best] < needed:
         return []
     return [int(k) for k in np.flatnonzero(groups[best])]
 

@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slammot_graph import se2
-from slammot_graph.closure.joining import LEAD, MIN_VOTES, N_RECENT, Vote, elect
+from slammot_graph.closure.joining import LEAD, MIN_VOTES, MIN_VOTES_ALONE, N_RECENT, Vote, elect
 from slammot_graph.types import FloatArray
 
 TRUE = np.array([4.0, -3.0, 1.2])
@@ -24,8 +24,14 @@ def votes_for(T_map_new: FloatArray, sources: range, seed: int = 0, std: float =
 
 def test_enough_votes_that_agree_win() -> None:
     assert elect([]) == []
-    assert elect(votes_for(TRUE, range(MIN_VOTES - 1))) == []
-    assert elect(votes_for(TRUE, range(MIN_VOTES))) == list(range(MIN_VOTES))
+    assert elect(votes_for(TRUE, range(MIN_VOTES_ALONE - 1))) == []
+    assert elect(votes_for(TRUE, range(MIN_VOTES_ALONE))) == list(range(MIN_VOTES_ALONE))
+
+
+def test_one_vote_for_another_place_asks_for_one_more() -> None:
+    rival = votes_for(ALIAS, range(1), seed=1)
+    assert elect(votes_for(TRUE, range(MIN_VOTES - 1)) + rival) == []
+    assert elect(votes_for(TRUE, range(MIN_VOTES)) + rival) == list(range(MIN_VOTES))
 
 
 def test_many_votes_of_one_local_map_are_one() -> None:
