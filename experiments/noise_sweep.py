@@ -26,17 +26,16 @@ N_DECIMALS = 4
 Column = Callable[[float, int, str], list[float]]
 
 
-def cell(scenario: str, rate_hz: float | None, people: int, noise: float, seed: int, method: str) -> Scores:
+def cell(scenario: str, people: int, noise: float, seed: int, method: str) -> Scores:
     """Run one method over one log."""
-    log = measures.simulated(scenario, seed, people, noise, rate_hz)
+    log = measures.simulated(scenario, seed, people, noise, RATE_HZ)
     result = measures.run_method(log, method)
     return {"ate_m": absolute_error(result.T_map_base, log.T_world_base).translation_m.rmse}
 
 
-def key(scenario: str, rate_hz: float | None, people: int, noise: float, seed: int, method: str) -> str:
+def key(scenario: str, people: int, noise: float, seed: int, method: str) -> str:
     """Name of a cell."""
-    rate = "own" if rate_hz is None else f"{rate_hz:g}"
-    return f"{scenario} {rate} {people} {noise:g} {seed} {method}"
+    return f"{scenario} {RATE_HZ:g} {people} {noise:g} {seed} {method}"
 
 
 def ranking(medians: dict[str, float]) -> list[str]:
@@ -48,13 +47,11 @@ def experiment(options: Options) -> None:
     """Who has the least ATE, by the odometry's noise and the number of people, with graph and its baselines."""
     seeds = options.seed_range(FULL_SEEDS)
     scenario = QUICK_SCENARIO if options.quick else SCENARIO
-    rate_hz = RATE_HZ
     people = QUICK_PEOPLE if options.quick else PEOPLE
     noises = QUICK_NOISES if options.quick else NOISES
     cells = {
-        key(scenario, rate_hz, n, noise, seed, method): {
+        key(scenario, n, noise, seed, method): {
             "scenario": scenario,
-            "rate_hz": rate_hz,
             "people": n,
             "noise": noise,
             "seed": seed,
@@ -65,7 +62,7 @@ def experiment(options: Options) -> None:
     scores = run_cells("noise_sweep", cell, cells, options)
 
     def column(noise: float, n: int, method: str) -> list[float]:
-        return [scores[key(scenario, rate_hz, n, noise, seed, method)]["ate_m"] for seed in seeds]
+        return [scores[key(scenario, n, noise, seed, method)]["ate_m"] for seed in seeds]
 
     medians = {
         (noise, n): {method: float(np.median(column(noise, n, method))) for method in METHODS}
