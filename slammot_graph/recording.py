@@ -1,13 +1,11 @@
-"""The recording of a run for the rerun viewer: the only importer of rerun, and only when recording.
+"""The recording of a run for the rerun viewer; rerun is imported only when recording.
 
 Steps are kept and sent as columns, many scans at a time: one call per scan and entity would cost more than
 the step itself. Everything in the map frame lies at z = 0 but for small offsets that order the layers.
 """
 
 import math
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
@@ -16,7 +14,31 @@ from typing import TYPE_CHECKING, Any, Protocol, get_args
 import numpy as np
 
 from slammot_graph import se2
-from slammot_graph.errors import InputError
+from slammot_graph.colors import (
+    COLOR_AFTER,
+    COLOR_BEFORE,
+    COLOR_CLOSURE,
+    COLOR_ESTIMATE,
+    COLOR_MATCH,
+    COLOR_MOVING,
+    COLOR_ODOMETRY,
+    COLOR_STATIC,
+    COLOR_TRUTH,
+    track_color,
+)
+from slammot_graph.rerun_parts import (
+    Sink,
+    Times,
+    at_height,
+    collapsed_panels,
+    eye_above,
+    grid_map,
+    plot_view,
+    until_cursor,
+    view_from_above,
+    view_of,
+    yaw_quaternion,
+)
 from slammot_graph.result_types import (
     ClosureStatus,
     GraphEdge,
@@ -50,30 +72,12 @@ NIS_BOUND_95 = 7.81
 SIGMAS_95 = 2.448
 """Semi-axis of a 95% ellipse in the plane, in standard deviations."""
 
-COLOR_ESTIMATE = 0x0072B2FF
-COLOR_ODOMETRY = 0xE69F00FF
-COLOR_TRUTH = 0x009E73FF
-COLOR_STATIC = 0x2F6FB5FF
-COLOR_MOVING = 0xE3342FFF
-COLOR_CLOSURE = 0xCC33AAFF
-COLOR_MATCH = 0x56B4E9FF
-COLOR_BEFORE, COLOR_AFTER = 0x8C564BFF, 0x00A5B5FF
 ATTEMPT_COLORS: Mapping[ClosureStatus, int] = {
     "accepted": 0x2CA02CFF,
     "waiting": 0xFFA000FF,
     "refused": 0x66666690,
     "taken back": 0xD62728FF,
 }
-TRACK_COLORS = (
-    0xD55E00FF,
-    0x7B3FA0FF,
-    0x009E73FF,
-    0xB8860BFF,
-    0xC2185BFF,
-    0x00838FFF,
-    0x5D4037FF,
-    0x33691EFF,
-)
 
 LEGEND = """
 | in the map | |
@@ -177,16 +181,8 @@ class RerunLog:
     def __init__(
         self, *, path: Path | None = None, spawn: bool = False, method: str, config: Mapping[str, Any]
     ) -> None:
-        import rerun as rr
-
-        if (path is None) != spawn:
-            raise ValueError("give either a path or spawn=True")
-        self._target = f"the recording {path}" if path is not None else "the rerun viewer"
-        self._remedy = (
-            "free some space, choose another folder or pass --rerun off"
-            if path is not None
-            else "a viewer needs a display and the rerun of this environment; pass --rerun file instead"
-        )
+        self._sink = Sink(f"slammot_graph {method}", path=path, spawn=spawn)
+        self._rec = self._sink.rec
         self._scans_per_send = SCANS_PER_SEND_LIVE if spawn else SCANS_PER_SEND
         self._steps: list[StepResult] = []
         self._tried: list[_Tried] = []
@@ -197,20 +193,11 @@ class RerunLog:
         self._budget = {"map": _Budget(MAP_SHARE, 20), "graph": _Budget(GRAPH_SHARE, 50)}
         self._n_scans = 0
         self._is_open = True
-        batching = rr.ChunkBatcherConfig(flush_tick=0.2 if spawn else 5.0, flush_num_bytes=4 << 20)
-        self._rec = rr.RecordingStream(f"slammot_graph {method}", batcher_config=batching)
-        with self._errors():
-            if path is not None:
-                self._rec.save(path)
-            else:
-                executable = Path(sys.executable).with_name("rerun")
-                rr.spawn(
-                    recording=self._rec, executable_path=str(executable) if executable.exists() else None
-                )
-                self._rec.flush(timeout_sec=10.0)
-            self._rec.set_log_time_enabled(False)
+        with self._sink.errors():
             _log_style(self._rec)
-            self._log_text("/doc/config", f"# {method}\n{LEGEND}\n## Configuration\n{_config_table(config)}")
+            self._sink.log_text(
+                "/doc/config", f"# {method}\n{LEGEND}\n## Configuration\n{_config_table(config)}"
+            )
 
     @property
     def wants_map(self) -> bool:
@@ -230,7 +217,7 @@ class RerunLog:
     def log_step(self, step: StepResult) -> None:
         """Keep one step; a batch of them is sent at a time."""
         if self._last_step is None:
-            with self._errors():
+            with self._sink.errors():
                 self._send_blueprint(step.T_map_base[:2], 15.0, has_truth=_has_truth(step))
         self._follow_graph(step)
         self._steps.append(step)
@@ -241,40 +228,23 @@ class RerunLog:
 
     def log_map(self, grid: GridMap) -> None:
         """Log the map as it is after the last step."""
-        import rerun as rr
-
-        n_rows, n_cols = grid.p_occupied.shape
-        if n_rows == 0 or n_cols == 0:
+        if grid.p_occupied.size == 0:
             return
-        # steps of 5%, which compress well and still show doubt
-        percent = np.round(np.nan_to_num(grid.p_occupied, nan=-0.05) * 20.0) * 5.0
-        cells = np.where(np.isnan(grid.p_occupied), -1, percent).astype(np.int8)
-        with self._errors():
+        with self._sink.errors():
             self._set_time()
-            self._rec.log(
-                "/world/map/grid",
-                rr.GridMap(
-                    data=np.flipud(cells).tobytes(),  # its row 0 is the top, ours the lowest y
-                    format=rr.components.ImageFormat(
-                        width=n_cols, height=n_rows, color_model="L", channel_datatype="U8"
-                    ),
-                    cell_size=grid.resolution_m,
-                    translation=[grid.origin[0], grid.origin[1], -0.05],
-                    colormap=rr.components.Colormap.RvizMap,
-                ),
-            )
-        self._budget["map"].spend(self._n_scans, cells.size / 8)
+            self._rec.log("/world/map/grid", grid_map(grid))
+        self._budget["map"].spend(self._n_scans, grid.p_occupied.size / 8)
 
     def log_graph(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
         """Log the graph as it is after the last step."""
         import rerun as rr
 
-        with self._errors():
+        with self._sink.errors():
             self._set_time()
-            self._rec.log("/world/graph/nodes", rr.Points3D(_at_height(nodes[:, :2], 0.01)))
+            self._rec.log("/world/graph/nodes", rr.Points3D(at_height(nodes[:, :2], 0.01)))
             for kind in ("odometry", "match", "closure"):
                 ends = np.array([(e.from_node, e.to_node) for e in edges if e.kind == kind], dtype=np.int64)
-                strips = _at_height(nodes[ends.reshape(-1, 2)][..., :2], 0.015)
+                strips = at_height(nodes[ends.reshape(-1, 2)][..., :2], 0.015)
                 self._rec.log(f"/world/graph/{kind}", rr.LineStrips3D(strips))
             self._log_graph_view(nodes, edges)
         self._budget["graph"].spend(self._n_scans, 12.0 * len(nodes) + 24.0 * len(edges))
@@ -288,11 +258,11 @@ class RerunLog:
         before, self._nodes_before = self._nodes_before, None
         if before is None:
             return
-        with self._errors():
+        with self._sink.errors():
             self._set_time()
             for name, poses, z in (("before", before, 0.032), ("after", nodes[: len(before)], 0.034)):
                 kept = _thinned(len(poses), MAX_SHIFT_NODES)
-                strip = _at_height(poses[None, kept, :2], z)
+                strip = at_height(poses[None, kept, :2], z)
                 self._rec.log(f"/world/closures/graph_{name}", rr.LineStrips3D(strip))
 
     def finish(self, result: RunResult) -> None:
@@ -302,15 +272,15 @@ class RerunLog:
         self._send_steps()
         self.log_map(result.grid)
         self.log_graph(result.nodes, result.edges)
-        with self._errors():
+        with self._sink.errors():
             self._set_time()
             if len(result.stamps):
-                path = _at_height(result.T_map_base[None, :, :2], 0.03)
+                path = at_height(result.T_map_base[None, :, :2], 0.03)
                 self._rec.log("/world/final/path", rr.LineStrips3D(path))
-                centre, extent_m = _view_of(result)
+                centre, extent_m = view_of(result.T_map_base, result.grid)
                 has_truth = self._last_step is not None and _has_truth(self._last_step)
                 self._send_blueprint(centre, extent_m, has_truth=has_truth)
-            self._log_text("/doc/summary", _summary(result))
+            self._sink.log_text("/doc/summary", _summary(result))
 
     def close(self) -> None:
         """Send what is still kept, wait until it is written, and close."""
@@ -319,8 +289,7 @@ class RerunLog:
         self._is_open = False
         try:
             self._send_steps()
-            with self._errors():
-                self._rec.flush(timeout_sec=60.0)
+            self._sink.flush()
         finally:
             self._rec.disconnect()
 
@@ -349,10 +318,10 @@ class RerunLog:
         if not self._steps:
             return
         steps, self._steps = self._steps, []
-        with self._errors():
+        with self._sink.errors():
             self._send_scans(steps)
             self._send_paths(steps)
-            self._send_tracks([step.tracks for step in steps], _Times(steps))
+            self._send_tracks([step.tracks for step in steps], _times(steps))
             self._send_plots(steps)
             self._send_texts(steps)
             self._send_closures()
@@ -361,7 +330,7 @@ class RerunLog:
         """Send end points, ellipses and the robot's place."""
         import rerun as rr
 
-        times = _Times(steps)
+        times = _times(steps)
         T_map_base = np.stack([step.T_map_base for step in steps])
         n_valid = [int(np.count_nonzero(step.is_valid)) for step in steps]
         beam = np.concatenate([np.flatnonzero(step.is_valid) for step in steps])
@@ -373,18 +342,16 @@ class RerunLog:
         row = np.repeat(np.arange(len(steps)), n_valid)
         points_map = se2.transform(T_map_base[row], points_base[:, None, :])[:, 0]
 
-        half = 0.5 * T_map_base[:, 2]
-        zero = np.zeros(len(steps))
         self._send(
             "/world/robot",
             times,
             rr.Transform3D.columns(
-                translation=_at_height(T_map_base[:, :2], 0.0),
-                quaternion=np.column_stack([zero, zero, np.sin(half), np.cos(half)]).astype(np.float32),
+                translation=at_height(T_map_base[:, :2], 0.0),
+                quaternion=yaw_quaternion(T_map_base[:, 2]),
             ),
         )
         points = rr.Points3D.columns(
-            positions=_at_height(points_base, 0.06), class_ids=np.where(is_moving, 2, 1).astype(np.uint16)
+            positions=at_height(points_base, 0.06), class_ids=np.where(is_moving, 2, 1).astype(np.uint16)
         )
         why = rr.AnyValues.columns(
             beam=beam.astype(np.uint16),
@@ -396,7 +363,7 @@ class RerunLog:
 
         n_rows = len(steps)
         n_moving = np.bincount(row[is_moving], minlength=n_rows)
-        moving = rr.Points3D.columns(positions=_at_height(points_map[is_moving], 0.04))
+        moving = rr.Points3D.columns(positions=at_height(points_map[is_moving], 0.04))
         self._send_batches("/world/moving/points", times, moving, n_moving)
         self._send_ellipses(
             "/world/ellipses/moving", times, points_map[is_moving], cov[is_moving], n_moving, 0.05
@@ -424,7 +391,7 @@ class RerunLog:
         known = [pose for pose in truth if pose is not None]
         if len(known) == len(steps):
             poses["truth"] = known
-        times = _Times(steps)
+        times = _times(steps)
         for z, (name, list_of_poses) in enumerate(poses.items()):
             T = np.stack(list_of_poses)
             # odom and world are moved so that all paths start where the estimate does
@@ -438,16 +405,16 @@ class RerunLog:
             start = self._sent.last_xy.get(name, xy[0])
             segments = np.stack([np.concatenate([start[None], xy[:-1]]), xy], axis=1)
             self._sent.last_xy[name] = xy[-1]
-            strips = rr.LineStrips3D.columns(strips=_at_height(segments, 0.022 - 0.002 * z))
+            strips = rr.LineStrips3D.columns(strips=at_height(segments, 0.022 - 0.002 * z))
             self._send(f"/world/{name}/path", times, strips)
 
     def _send_errors(self, T_map_base_true: FloatArray, steps: list[StepResult]) -> None:
         error = se2.between(T_map_base_true, np.stack([step.T_map_base for step in steps]))
-        times = _Times(steps)
+        times = _times(steps)
         self._send_scalars("error/translation_m", times, np.hypot(error[:, 0], error[:, 1]))
         self._send_scalars("error/rotation_deg", times, np.degrees(np.abs(error[:, 2])))
 
-    def _send_tracks(self, tracks: list[tuple[TrackState, ...]], times: "_Times") -> None:
+    def _send_tracks(self, tracks: list[tuple[TrackState, ...]], times: Times) -> None:
         """Send one batch per scan of all tracks, an empty one when there are none."""
         import rerun as rr
 
@@ -456,8 +423,8 @@ class RerunLog:
         centre = np.array([state.position for state in states]).reshape(-1, 2)
         velocity = np.array([state.velocity for state in states]).reshape(-1, 2)
         cov = np.array([state.position_cov for state in states]).reshape(-1, 2, 2)
-        colors = np.array([_track_color(state.track_id) for state in states], dtype=np.uint32)
-        places = _at_height(centre, 0.08)
+        colors = np.array([track_color(state.track_id) for state in states], dtype=np.uint32)
+        places = at_height(centre, 0.08)
         before = []
         for of_scan in tracks:
             before += [self._sent.last_track_xy.get(state.track_id, state.position) for state in of_scan]
@@ -466,8 +433,8 @@ class RerunLog:
 
         labels = [str(state.track_id) for state in states]
         points = rr.Points3D.columns(positions=places, colors=colors, labels=labels)
-        arrows = rr.Arrows3D.columns(vectors=_at_height(velocity, 0.0), origins=places, colors=colors)
-        trail = rr.LineStrips3D.columns(strips=_at_height(segments, 0.07), colors=colors)
+        arrows = rr.Arrows3D.columns(vectors=at_height(velocity, 0.0), origins=places, colors=colors)
+        trail = rr.LineStrips3D.columns(strips=at_height(segments, 0.07), colors=colors)
         self._send_batches("/world/tracks/centre", times, points, n_tracks)
         self._send_batches("/world/tracks/velocity", times, arrows, n_tracks)
         self._send_batches("/world/tracks/trail", times, trail, n_tracks)
@@ -480,21 +447,21 @@ class RerunLog:
         tried, self._tried = self._tried, []
         if not tried:
             return
-        times = _Times([of_step.step for of_step in tried])
+        times = _times([of_step.step for of_step in tried])
         attempts = [attempt for of_step in tried for attempt in of_step.step.closures]
         segments = np.concatenate([of_step.segments for of_step in tried])
         row = np.repeat(np.arange(len(tried)), [len(of_step.segments) for of_step in tried])
         for status in get_args(ClosureStatus):
             rows = [k for k, attempt in enumerate(attempts) if attempt.status == status]
             lines = rr.LineStrips3D.columns(
-                strips=_at_height(segments[rows], 0.036), labels=[attempts[k].text for k in rows]
+                strips=at_height(segments[rows], 0.036), labels=[attempts[k].text for k in rows]
             )
             self._send_batches(
                 _closure_path(status), times, lines, np.bincount(row[rows], minlength=len(tried))
             )
 
     def _send_plots(self, steps: list[StepResult]) -> None:
-        times = _Times(steps)
+        times = _times(steps)
         for stage in dict.fromkeys(chain.from_iterable(step.stage_ms for step in steps)):
             took = np.array([step.stage_ms.get(stage, np.nan) for step in steps])
             self._send_scalars(f"timing/{stage}", times, took)
@@ -524,7 +491,7 @@ class RerunLog:
         """Send events, and the match's state where it changes."""
         import rerun as rr
 
-        times = _Times(steps)
+        times = _times(steps)
         row_of = [row for row, step in enumerate(steps) for _ in step.events]
         if row_of:
             texts = list(chain.from_iterable(step.events for step in steps))
@@ -539,24 +506,22 @@ class RerunLog:
         self._sent.state = states[-1]
 
     def _send_ellipses(
-        self, path: str, times: "_Times", centres: FloatArray, cov: FloatArray, lengths: IntArray, z: float
+        self, path: str, times: Times, centres: FloatArray, cov: FloatArray, lengths: IntArray, z: float
     ) -> None:
         """Send 95% ellipses of (k, 2, 2) covariances in map axes."""
         import rerun as rr
 
         variances, angle = _axes(cov)
         half_sizes = SIGMAS_95 * np.sqrt(variances)
-        zero = np.zeros(len(angle))
-        turn = np.column_stack([zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)])
         columns = rr.Ellipsoids3D.columns(
-            centers=_at_height(centres, z),
-            half_sizes=_at_height(half_sizes, 0.002),
-            quaternions=turn.astype(np.float32),
+            centers=at_height(centres, z),
+            half_sizes=at_height(half_sizes, 0.002),
+            quaternions=yaw_quaternion(angle),
         )
         self._send_batches(path, times, columns, lengths)
 
     def _send_batches(
-        self, path: str, times: "_Times", columns: "rr.ComponentColumnList", lengths: IntArray
+        self, path: str, times: Times, columns: "rr.ComponentColumnList", lengths: IntArray
     ) -> None:
         """Send batches of changing size; nothing at all while there is nothing to show or to clear."""
         n_instances = int(lengths.sum())
@@ -565,7 +530,7 @@ class RerunLog:
         self._sent.last_length[path] = int(lengths[-1])
         self._sent.n_bytes += 40 * n_instances
 
-    def _send_scalars(self, name: str, times: "_Times", values: FloatArray) -> None:
+    def _send_scalars(self, name: str, times: Times, values: FloatArray) -> None:
         """Send the finite values of a plot `name`: its group and its line."""
         import rerun as rr
 
@@ -579,7 +544,7 @@ class RerunLog:
             self._rec.log(path, line, static=True)
         self._send(path, times[rows], rr.Scalars.columns(scalars=values[rows]))
 
-    def _send(self, path: str, times: "_Times", columns: "Sequence[Any] | rr.ComponentColumnList") -> None:
+    def _send(self, path: str, times: Times, columns: "Sequence[Any] | rr.ComponentColumnList") -> None:
         self._rec.send_columns(path, indexes=times.columns(), columns=columns)
 
     # ---------------------------------------------------------------- single entries
@@ -588,11 +553,6 @@ class RerunLog:
         if self._last_step is not None:
             self._rec.set_time("scan", sequence=self._last_step.scan.index)
             self._rec.set_time("stamp", timestamp=self._last_step.scan.stamp)
-
-    def _log_text(self, path: str, text: str) -> None:
-        import rerun as rr
-
-        self._rec.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def _log_graph_view(self, nodes: FloatArray, edges: Sequence[GraphEdge]) -> None:
         """Log the shape of the graph: a thinned chain, and the closures with their ends."""
@@ -620,15 +580,6 @@ class RerunLog:
 
     def _send_blueprint(self, centre: FloatArray, extent_m: float, *, has_truth: bool) -> None:
         self._rec.send_blueprint(_blueprint(centre, extent_m, has_truth=has_truth))
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
-        """Turn what rerun or the disk says into one line."""
-        try:
-            yield
-        except (RuntimeError, OSError) as error:
-            lines = str(error).strip().splitlines() or [type(error).__name__]
-            raise InputError(f"cannot write {self._target}: {lines[0]}; {self._remedy}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -673,23 +624,9 @@ class _Budget:
         self._last_n_scans = n_scans
 
 
-class _Times:
-    """Scan indices and stamps of a batch, as columns of both timelines."""
-
-    def __init__(self, steps: Sequence[StepResult]) -> None:
-        self.index = np.array([step.scan.index for step in steps], dtype=np.int64)
-        seconds = np.array([step.scan.stamp for step in steps])
-        self.stamp = np.round(seconds * 1e9).astype(np.int64).view("datetime64[ns]")
-
-    def __getitem__(self, rows: "list[int] | IntArray") -> "_Times":
-        some = _Times([])
-        some.index, some.stamp = self.index[rows], self.stamp[rows]
-        return some
-
-    def columns(self) -> "list[rr.TimeColumn]":
-        import rerun as rr
-
-        return [rr.TimeColumn("scan", sequence=self.index), rr.TimeColumn("stamp", timestamp=self.stamp)]
+def _times(steps: Sequence[StepResult]) -> Times:
+    index = np.array([step.scan.index for step in steps], dtype=np.int64)
+    return Times(index, np.array([step.scan.stamp for step in steps]))
 
 
 # -------------------------------------------------------------------- style and layout
@@ -758,47 +695,9 @@ def _log_style(rec: "rr.RecordingStream") -> None:
     )
 
 
-def _seen_from_above(
-    name: str,
-    origin: str,
-    contents: list[str],
-    eye: "rrb.EyeControls3D",
-    overrides: "dict[rr.datatypes.EntityPath | str, Any] | None" = None,
-) -> "rrb.Spatial3DView":
-    import rerun.blueprint as rrb
-
-    return rrb.Spatial3DView(
-        origin=origin,
-        name=name,
-        contents=contents,
-        eye_controls=eye,
-        overrides=overrides,
-        background=(128, 140, 138),
-        line_grid=False,
-    )
-
-
 def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.Blueprint":
     """Lay out the views; the map is seen from above, `extent_m` wide around `centre`."""
     import rerun.blueprint as rrb
-
-    def from_above(x: float, y: float, height: float, up: tuple[float, float, float]) -> "rrb.EyeControls3D":
-        return rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=(x, y, height), look_target=(x, y, 0.0), eye_up=up
-        )
-
-    def until_cursor(n_scans: int | None = None) -> "rrb.VisibleTimeRanges":
-        start = (
-            rrb.TimeRangeBoundary.infinite()
-            if n_scans is None
-            else rrb.TimeRangeBoundary.cursor_relative(seq=-n_scans)
-        )
-        return rrb.VisibleTimeRanges(
-            timeline="scan", start=start, end=rrb.TimeRangeBoundary.cursor_relative(seq=0)
-        )
-
-    def plot(name: str, group: str) -> "rrb.TimeSeriesView":
-        return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name)
 
     of_closures = {
         _closure_path("accepted"): until_cursor(),
@@ -806,8 +705,8 @@ def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.
         "/world/closures/graph_after": until_cursor(SHIFT_SCANS),
     }
     x, y = float(centre[0]), float(centre[1])
-    map_eye = from_above(x, y, 1.2 * extent_m, (0.0, 1.0, 0.0))
-    map_view = _seen_from_above(
+    map_eye = eye_above(x, y, 1.2 * extent_m, (0.0, 1.0, 0.0))
+    map_view = view_from_above(
         "Map",
         "/world",
         ["+ /world/**", "- /world/graph/**", "+ /world/graph/closure", "- /world/final/**"],
@@ -823,18 +722,18 @@ def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.
         },
     )
     graph_entities = ["/world/map/**", "/world/graph/**", "/world/closures/**", "/world/final/**"]
-    graph_map = _seen_from_above("Graph on the map", "/world", graph_entities, map_eye, {**of_closures})
-    scan_eye = from_above(0.0, 0.0, 16.0, (1.0, 0.0, 0.0))
-    scan_view = _seen_from_above("Scan, robot's frame", "/world/robot", ["/world/robot/**"], scan_eye)
+    graph_map = view_from_above("Graph on the map", "/world", graph_entities, map_eye, {**of_closures})
+    scan_eye = eye_above(0.0, 0.0, 16.0, (1.0, 0.0, 0.0))
+    scan_view = view_from_above("Scan, robot's frame", "/world/robot", ["/world/robot/**"], scan_eye)
     plots = [
-        plot("NIS of the match", "nis"),
-        plot("Points and tracks", "count"),
-        plot("Time per stage [ms]", "timing"),
-        plot("Uncertainty", "std"),
-        plot("Match", "match"),
+        plot_view("NIS of the match", "nis"),
+        plot_view("Points and tracks", "count"),
+        plot_view("Time per stage [ms]", "timing"),
+        plot_view("Uncertainty", "std"),
+        plot_view("Match", "match"),
     ]
     if has_truth:
-        plots.insert(0, plot("Error against truth", "error"))
+        plots.insert(0, plot_view("Error against truth", "error"))
     texts = [
         rrb.TextDocumentView(origin="/doc/config", name="Legend and configuration"),
         rrb.TextLogView(origin="/log", name="Events"),
@@ -852,32 +751,11 @@ def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.
             ),
             column_shares=[3, 2],
         ),
-        rrb.TimePanel(state="collapsed", timeline="scan"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
+        *collapsed_panels(),
     )
 
 
-def _view_of(result: RunResult) -> tuple[FloatArray, float]:
-    """Centre (2,) and extent [m] of the known map and the trajectory."""
-    low, high = result.T_map_base[:, :2].min(axis=0), result.T_map_base[:, :2].max(axis=0)
-    rows, cols = np.nonzero(np.isfinite(result.grid.p_occupied))
-    if len(rows):
-        corners = np.array([[cols.min(), rows.min()], [cols.max() + 1, rows.max() + 1]])
-        corners_map = result.grid.origin + result.grid.resolution_m * corners
-        low, high = np.minimum(low, corners_map[0]), np.maximum(high, corners_map[1])
-    return 0.5 * (low + high), max(5.0, float((high - low).max()))
-
-
 # -------------------------------------------------------------------- small things
-
-
-def _at_height(xy: FloatArray, z: float) -> Any:
-    """Planar points (..., 2) as float32 (..., 3) at a height [m]."""
-    xyz = np.empty((*xy.shape[:-1], 3), dtype=np.float32)
-    xyz[..., :2] = xy
-    xyz[..., 2] = z
-    return xyz
 
 
 def _closure_path(status: ClosureStatus) -> str:
@@ -910,10 +788,6 @@ def _has_truth(step: StepResult) -> bool:
 
 def _is_warning(event: str) -> bool:
     return any(word in event for word in ("fail", "reject", "degenerate", "skip", "interrupt"))
-
-
-def _track_color(track_id: int) -> int:
-    return TRACK_COLORS[track_id % len(TRACK_COLORS)]
 
 
 def _config_table(config: Mapping[str, Any]) -> str:

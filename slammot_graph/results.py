@@ -118,7 +118,7 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
         raise InputError(f"{output}: cannot be written (Permission denied); name another --output")
 
 
-def write_run_folder(output: str | Path, result: RunResult) -> None:
+def write_run_folder(output: str | Path, result: RunResult, *, log: str | Path | None = None) -> None:
     """Write all files of a run but the recording.
 
     Parameters
@@ -126,6 +126,8 @@ def write_run_folder(output: str | Path, result: RunResult) -> None:
     output : str or Path
         The run folder; made if it is not there, and files of an earlier run in it are replaced.
     result : RunResult
+    log : str or Path, optional
+        The log that was run; its absolute path goes into the summary.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def write_run_folder(output: str | Path, result: RunResult) -> None:
     _write_text(output / "map.yaml", _map_lines(result.grid))
     _write_text(output / "graph.g2o", _graph_lines(result.nodes, result.edges))
     _write_arrays(output / "covariances.npz", stamps=result.stamps, cov_map=result.cov_map)
-    summary = json.dumps(_strict(_summary(result)), indent=2, allow_nan=False, ensure_ascii=False)
+    summary = json.dumps(_strict(_summary(result, log)), indent=2, allow_nan=False, ensure_ascii=False)
     _write_text(output / "summary.json", [summary])
     with _replacing(output / "overview.png") as path:
         draw_overview(result, path)
@@ -247,13 +249,14 @@ def _numbers(values: list[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _summary(result: RunResult) -> dict[str, Any]:
+def _summary(result: RunResult, log: str | Path | None) -> dict[str, Any]:
     step_ms = result.stage_ms.get("step", np.zeros(0))
     n_valid = int(np.count_nonzero(result.is_valid))
     n_moving = int(np.count_nonzero(result.is_moving & result.is_valid))
     steps_m = np.hypot(*np.diff(result.T_map_base[:, :2], axis=0).T)
     return {
         "method": result.method,
+        "log": None if log is None else Path(log).absolute(),
         "config": result.config,
         "versions": _versions(),
         "is_complete": result.is_complete,

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slammot_graph import Run, cli, se2
+from slammot_graph import Run, cli, results, se2
+from slammot_graph.cli import running
 from slammot_graph.evaluation import read_trajectory
 from slammot_graph.logs import write_npz_log
 from slammot_graph.result_types import StepResult
 
 N_SCANS = 12
-RUN_FILES = set(cli.RUN_FILES) - {"run.rrd"}
+RUN_FILES = set(results.RUN_FILES) - {"run.rrd"}
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +74,7 @@ def test_run_writes_a_run_folder(capsys: pytest.CaptureFixture[str], log: Path, 
     np.testing.assert_allclose(T_map_base[-1], [0.1 * (N_SCANS - 1), 0.0, 0.0], atol=1e-6)
     summary = json.loads((output / "summary.json").read_text())
     assert (summary["method"], summary["n_scans"]) == ("odometry", N_SCANS)
+    assert summary["log"] == str(log)
     for word in ("scans", "skipped", "nodes", "loop closures", "median", "p95", str(output / "map.pgm")):
         assert word in out
     assert "box [1].npz" in out  # brackets in a name are no markup
@@ -171,7 +173,7 @@ def test_wrong_arguments(capsys: pytest.CaptureFixture[str], arguments: list[str
 def test_help(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "--help")
     assert code == 0
-    for command in ("run", "methods", "evaluate", "config", "simulate", "demo"):
+    for command in ("run", "view", "animate", "compare", "evaluate", "methods", "config", "simulate", "demo"):
         assert command in out
 
 
@@ -207,12 +209,12 @@ def test_demo_compares_the_methods(
         output.parent.mkdir(exist_ok=True)
         write_box_log(output)
 
-    monkeypatch.setattr(cli, "_write_simulation", write)
+    monkeypatch.setattr(running, "write_simulation", write)
     for _ in range(2):  # the second time over the first
         code, out, _ = run(capsys, "demo", "--output", tmp_path / "demo")
         assert code == 0
     rows = {line.split("│")[1].strip(): line for line in out.splitlines() if line.count("│") == 7}
-    assert list(rows) == list(cli.DEMO_METHODS)
+    assert list(rows) == list(running.DEMO_METHODS)
     assert [cell.strip() for cell in rows["icp"].split("│")[3:6]] == ["-", "0.000", "0.000"]
     for name in ("run.rrd", "overview.png"):
         assert str(tmp_path / "demo" / "graph" / name) in out

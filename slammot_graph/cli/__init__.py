@@ -1,0 +1,68 @@
+"""The command line ``slammot-graph``: each command is a function, and `main` turns errors into exit codes.
+
+Whatever is heavy (gtsam, rerun, matplotlib, kiss_icp) is imported by the command that needs it.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+
+import tyro
+
+from slammot_graph.cli.console import EXIT_INTERRUPTED, EXIT_USER_ERROR, complain, stderr
+from slammot_graph.cli.judging import compare_command, evaluate_command
+from slammot_graph.cli.logs import inject_command, simulate_command
+from slammot_graph.cli.methods import config_command, methods_command
+from slammot_graph.cli.running import demo_command, run_command
+from slammot_graph.cli.showing import animate_command, view_command
+from slammot_graph.errors import SlammotError
+
+__all__ = ["main"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the program's name; those of the process if left out.
+
+    Returns
+    -------
+    int
+        0 if all went well, 2 after a user's mistake (with one line on stderr), 130 after Ctrl-C.
+    """
+    try:
+        code: int = tyro.extras.subcommand_cli_from_dict(
+            {
+                "run": run_command,
+                "view": view_command,
+                "animate": animate_command,
+                "compare": compare_command,
+                "evaluate": evaluate_command,
+                "methods": methods_command,
+                "config": config_command,
+                "simulate": simulate_command,
+                "inject": inject_command,
+                "demo": demo_command,
+            },
+            prog="slammot-graph",
+            description="2D laser SLAM among moving people, on a factor graph.",
+            args=sys.argv[1:] if argv is None else argv,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+        return code
+    except SystemExit as stop:  # tyro has shown the help or what is wrong with the arguments
+        return stop.code if isinstance(stop.code, int) else EXIT_USER_ERROR
+    except SlammotError as error:
+        return complain(str(error))
+    except BrokenPipeError:  # the reader of our output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_USER_ERROR
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return complain(f"{place}{error.strerror or error}")
+    except KeyboardInterrupt:
+        stderr().print("interrupted")
+        return EXIT_INTERRUPTED

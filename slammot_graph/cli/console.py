@@ -1,0 +1,135 @@
+"""What all commands say and how: exit codes, consoles, progress, warnings, cells of tables."""
+
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sized
+from typing import TYPE_CHECKING, TextIO
+
+from rich.console import Console
+from rich.measure import Measurement
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from slammot_graph.evaluation import ErrorStats
+    from slammot_graph.logs import LaserLog
+
+EXIT_OK, EXIT_USER_ERROR, EXIT_INTERRUPTED = 0, 2, 130
+N_REASONS = 3
+"""So many skipped scans and warnings are shown; the rest is counted."""
+
+
+def stdout() -> Console:
+    """Give the console for what was asked for."""
+    return _console(sys.stdout)
+
+
+def stderr() -> Console:
+    """Give the console for progress, warnings and errors."""
+    return _console(sys.stderr)
+
+
+def _console(file: TextIO) -> Console:
+    console = Console(file=file, markup=False, highlight=False, emoji=False)
+    if not console.is_terminal:  # a file has no width: long paths stay on their line
+        console.width = 200
+    return console
+
+
+def complain(text: str) -> int:
+    """Say in one line what a user should mend, and give the exit code for it."""
+    stderr().print(f"slammot-graph: {' '.join(text.split())}", soft_wrap=True)
+    return EXIT_USER_ERROR
+
+
+def warn(log: "LaserLog") -> None:
+    """Show what the last iteration over a log brought to light."""
+    console = stderr()
+    skipped = [f"{scan.place} skipped: {scan.reason}" for scan in log.skipped]
+    for texts, what in ((log.warnings, "warnings"), (skipped, "skipped scans")):
+        for text in texts[:N_REASONS]:
+            console.print(f"warning: {log.path}: {text}", soft_wrap=True)
+        if len(texts) > N_REASONS:
+            console.print(f"warning: {log.path}: and {len(texts) - N_REASONS} more {what}", soft_wrap=True)
+
+
+def scan_progress(
+    log: "LaserLog", method: str, max_scans: int | None = None
+) -> contextlib.AbstractContextManager[Callable[[int], None]]:
+    """Show how many scans of a log a method has done; skipped ones count as done."""
+    total = log.n_scans if max_scans is None else min(max_scans, log.n_scans)
+    return progress(f"{method} on {log.path.name}", total, "scans", passed_over=log.skipped)
+
+
+@contextlib.contextmanager
+def progress(
+    label: str, total: int, what: str, *, passed_over: Sized = ()
+) -> Iterator[Callable[[int], None]]:
+    """Show how many are done: a bar, or where nobody watches a line at the start and one at the end.
+
+    Parameters
+    ----------
+    label : str
+    total : int
+    what : str
+        What is counted, in the plural.
+    passed_over : sized
+        What needs no work and may grow on the way.
+
+    Yields
+    ------
+    callable
+        To be told how many are done.
+    """
+    console = stderr()
+    if console.is_terminal:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(what),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(label, total=total)
+            yield lambda n: bar.update(task, completed=n + len(passed_over))
+        return
+    n_done, start = 0, time.monotonic()
+
+    def count(n: int) -> None:
+        nonlocal n_done
+        n_done = n
+
+    console.print(f"{label}: {total} {what}", soft_wrap=True)
+    yield count
+    console.print(f"{label}: {n_done} {what} in {time.monotonic() - start:.1f} s", soft_wrap=True)
+
+
+def figure_table(title: str, first: str, *others: str, no_wrap: bool = False) -> Table:
+    """Make an empty table with names on the left and figures on the right."""
+    table = Table(title=title)
+    table.add_column(first, no_wrap=no_wrap)
+    for heading in others:
+        table.add_column(heading, justify="right", no_wrap=no_wrap)
+    return table
+
+
+def print_table(table: Table) -> None:
+    """Print a table of many columns, closer together where the terminal is narrow."""
+    console = stdout()
+    needed = Measurement.get(console, console.options.update(width=1000), table).minimum
+    if needed > console.width:
+        table.padding = 0
+    console.print(table)
+
+
+def mean_and_std(stats: "ErrorStats") -> str:
+    """Write both, with four decimals."""
+    return f"{number(stats.mean, 4)} +- {number(stats.std, 4)}"
+
+
+def number(value: float, n_decimals: int) -> str:
+    """Write a number; a dash where it is not known."""
+    return "-" if math.isnan(value) else f"{value:.{n_decimals}f}"

@@ -1,0 +1,189 @@
+"""The commands that judge runs: `evaluate` and `compare`."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from slammot_graph.cli.console import EXIT_OK, figure_table, mean_and_std, number, print_table, stderr, stdout
+from slammot_graph.cli.files import prepare_file, whole_file
+from slammot_graph.cli.running import RerunMode
+from slammot_graph.errors import InputError
+
+if TYPE_CHECKING:
+    from slammot_graph.comparison import ComparedRun, TruePath
+    from slammot_graph.evaluation import RelationScores
+    from slammot_graph.types import FloatArray
+
+
+def evaluate_command(
+    directory: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    /,
+    *,
+    relations: Annotated[Path, tyro.conf.arg(metavar="FILE")],
+    max_duration: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0,
+) -> int:
+    """Compare a run's trajectory with true relations (Kuemmerle et al. 2009).
+
+    Parameters
+    ----------
+    directory
+        The run folder.
+    relations
+        Lines "t1 t2 x y z roll pitch yaw".
+    max_duration
+        Show also the relations whose ends lie within this time of each other [s].
+    """
+    from slammot_graph.evaluation import evaluate_relations, read_relations, read_trajectory
+
+    if not max_duration > 0.0:
+        raise InputError(f"--max-duration must be a positive time in seconds, not {max_duration:g}")
+    true = read_relations(relations)
+    path = directory / "trajectory.tum"
+    stamps, T_map_base = read_trajectory(path)
+    everything = evaluate_relations(stamps, T_map_base, true)
+    if everything.translation_m.n == 0:
+        raise _none_matches(relations, everything, path)
+    short = evaluate_relations(stamps, T_map_base, true, max_duration_s=max_duration)
+    table = figure_table(
+        f"Relations of {relations.name} in {directory}",
+        "relations",
+        *("n", "unmatched", "translation [m]", "median", "rotation [deg]", "median"),
+        no_wrap=True,
+    )
+    table.add_row("all", *_relation_cells(everything))
+    table.add_row(f"within {max_duration:g} s", *_relation_cells(short))
+    stdout().print(table)
+    return EXIT_OK
+
+
+def compare_command(
+    directories: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR DIR ...")],
+    /,
+    *,
+    output: Annotated[Path, tyro.conf.arg(metavar="FILE.rrd")] = Path("compare.rrd"),
+    relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    truth: Annotated[Path | None, tyro.conf.arg(metavar="LOG.npz")] = None,
+    rerun: RerunMode = "file",
+) -> int:
+    """Compare several runs over one log, in a table and in one recording.
+
+    Moving points are shown of the runs whose log is still where the run folder says, or is named as --truth.
+
+    Parameters
+    ----------
+    directories
+        Their run folders; the others are laid onto the start of the first.
+    output
+        The recording to write, for `slammot-graph view`.
+    relations
+        True relations, as for `slammot-graph evaluate`.
+    truth
+        The log with its true poses.
+    rerun
+        Record a file, stream to a viewer, or neither.
+    """
+    if len(directories) < 2:
+        raise InputError("compare needs at least two run folders")
+    if output.suffix != ".rrd":
+        raise InputError(f"{output}: the name of --output must end in .rrd")
+
+    from slammot_graph.comparison import compare, read_truth
+    from slammot_graph.evaluation import read_relations
+    from slammot_graph.logs import open_log
+    from slammot_graph.run_folder import read_run_folder
+
+    folders = [read_run_folder(directory) for directory in directories]
+    true_relations = None if relations is None else read_relations(relations)
+    true_way = None if truth is None else read_truth(open_log(truth))
+    runs = compare(folders, relations=true_relations, truth=true_way)
+    for run in runs:
+        if relations is not None and run.relations is not None and run.relations.translation_m.n == 0:
+            raise _none_matches(relations, run.relations, run.folder.path / "trajectory.tum")
+    rows = _compared_rows(runs)
+    if rerun != "off":
+        _record(runs, true_way, rows, output=output if rerun == "file" else None)
+    heading, *cells = rows
+    table = figure_table(f"{len(runs)} runs, {len(folders[0].stamps)} scans in the first", *heading)
+    for row in cells:
+        table.add_row(*row)
+    print_table(table)
+    if rerun == "file":
+        stdout().print(f"recording: {output} (open it with: slammot-graph view {output})", soft_wrap=True)
+    return EXIT_OK
+
+
+def _compared_rows(runs: "list[ComparedRun]") -> list[list[str]]:
+    """Headings, and what is known of each run."""
+    columns: dict[str, Callable[[ComparedRun], str]] = {
+        "run": lambda run: run.name,
+        "scans": lambda run: str(len(run.folder.stamps)),
+        "closures": lambda run: number(run.folder.figure("n_loop_closures"), 0),
+        "failed matches": lambda run: number(run.folder.figure("n_failed_matches"), 0),
+        "ms per scan": lambda run: number(run.folder.figure("stages_ms", "step", "median"), 2),
+        "from the first, rms [m]": lambda run: number(run.distance_rms_m, 4),
+    }
+    scores = {run.name: run.relations for run in runs if run.relations is not None}
+    if scores:
+        columns["relation error [m]"] = lambda run: number(scores[run.name].translation_m.mean, 4)
+        columns["relation error [deg]"] = lambda run: number(scores[run.name].rotation_deg.mean, 3)
+    if not math.isnan(runs[0].ate_rmse_m):
+        columns["ATE rmse [m]"] = lambda run: number(run.ate_rmse_m, 4)
+    return [list(columns), *([cell(run) for cell in columns.values()] for run in runs)]
+
+
+def _none_matches(relations: Path, scores: "RelationScores", trajectory: Path) -> InputError:
+    return InputError(
+        f"{relations}: none of its {scores.n_relations} relations has both times in {trajectory};"
+        " is it of the same log?"
+    )
+
+
+def _record(
+    runs: "list[ComparedRun]", truth: "TruePath | None", rows: list[list[str]], *, output: Path | None
+) -> None:
+    """Write a comparison into a file, or show it in a viewer."""
+    from slammot_graph.comparison import true_path
+    from slammot_graph.comparison_recording import record_comparison
+
+    heading, *cells = rows
+    lines = [heading, ["---"] * len(heading), *cells]
+    summary = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    T_ref_base_true = None if truth is None else true_path(runs, truth)
+    moving = _moving_points(runs, truth)
+    if output is None:
+        record_comparison(runs, T_ref_base_true=T_ref_base_true, moving=moving, summary=summary, spawn=True)
+        return
+    prepare_file(output)
+    with whole_file(output) as path:
+        record_comparison(runs, T_ref_base_true=T_ref_base_true, moving=moving, summary=summary, path=path)
+
+
+def _moving_points(runs: "list[ComparedRun]", truth: "TruePath | None") -> "dict[str, list[FloatArray]]":
+    """Find the moving points of the runs whose log can still be read; a run folder holds only their labels."""
+    from slammot_graph.comparison import moving_points
+    from slammot_graph.logs import open_log
+
+    found = {}
+    for run in runs:
+        path = run.folder.log if truth is None else truth.path
+        if path is None or run.folder.points is None:
+            continue
+        try:
+            found[run.name] = moving_points(run.folder, open_log(path))
+        except InputError as error:
+            stderr().print(f"warning: no moving points of {run.name}: {error}", soft_wrap=True)
+    return found
+
+
+def _relation_cells(scores: "RelationScores") -> list[str]:
+    return [
+        str(scores.translation_m.n),
+        str(scores.n_unmatched),
+        mean_and_std(scores.translation_m),
+        number(scores.translation_m.median, 4),
+        mean_and_std(scores.rotation_deg),
+        number(scores.rotation_deg.median, 3),
+    ]

@@ -1,0 +1,253 @@
+"""The commands that run methods: `run` and `demo`."""
+
+import contextlib
+import math
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.table import Table
+
+from slammot_graph.cli.console import (
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    N_REASONS,
+    figure_table,
+    number,
+    scan_progress,
+    stderr,
+    stdout,
+    warn,
+)
+from slammot_graph.cli.logs import write_simulation
+
+if TYPE_CHECKING:
+    from slammot_graph.logs import LaserLog
+    from slammot_graph.recording import RunLog
+    from slammot_graph.result_types import RunResult, StepResult
+    from slammot_graph.run import Run
+
+DEMO_METHODS = ("icp", "docpfo", "graph")
+
+RerunMode = Literal["file", "spawn", "off"]
+
+
+def run_command(
+    log: Annotated[Path, tyro.conf.arg(metavar="LOG")],
+    /,
+    *,
+    output: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "graph",
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
+    max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
+    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    rerun: RerunMode = "file",
+    overwrite: bool = False,
+) -> int:
+    """Run a method over a log and write its run folder.
+
+    Parameters
+    ----------
+    log
+        CARMEN (.log .clf, also .gz .bz2), ROS 1 .bag, a ROS 2 bag folder, .db3 or .mcap, .npz.
+    output
+        The run folder to write.
+    method
+        One of those that `slammot-graph methods` lists.
+    config
+        Settings in place of the method's own; `slammot-graph config` prints them all.
+    max_range
+        Leave aside what is farther [m]; by default as the settings say.
+    scan_topic
+        Which laser of a bag.
+    odom_topic
+        Which odometry of a bag.
+    rerun
+        Record run.rrd, stream to a viewer, or neither.
+    overwrite
+        Replace a run that is already in the folder.
+    """
+    from slammot_graph.config import load_config
+    from slammot_graph.logs import open_log
+    from slammot_graph.methods import get_method
+
+    settings = get_method(method).config
+    if config is not None:
+        settings = load_config(config, settings)
+    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic)
+
+    from slammot_graph.run import Run
+
+    run = Run(opened, method, config=settings, max_range_m=None if math.isinf(max_range) else max_range)
+    outcome = _execute(run, output, rerun=rerun, overwrite=overwrite)
+    stdout().print(_run_table(outcome))
+    return EXIT_INTERRUPTED if outcome.was_interrupted else EXIT_OK
+
+
+def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")) -> int:
+    """Simulate two walkers, run the paper's methods and ours over the log, and compare them.
+
+    Parameters
+    ----------
+    output
+        Where the log and a run folder per method go; the demo's own earlier ones are replaced.
+    """
+    from slammot_graph.logs import open_log
+    from slammot_graph.run import Run
+
+    path = output / "log.npz"
+    write_simulation("two-walkers", path, seed=0, people=None, noise_scale=1.0)
+    log = open_log(path)
+    table = figure_table(
+        "Two walkers who stop before the robot does, simulated",
+        "method",
+        *("ATE rmse [m]", "precision", "recall", "IoU", "ms per scan (median)"),
+    )
+    for method in DEMO_METHODS:
+        outcome = _execute(Run(log, method), output / method, rerun="file", overwrite=True)
+        if outcome.was_interrupted:
+            return EXIT_INTERRUPTED
+        table.add_row(method, *_truth_cells(outcome.result, log))
+    out = stdout()
+    out.print(table)
+    recording = output / "graph" / "run.rrd"
+    out.print(f"recording: {recording} (open it with: slammot-graph view {recording.parent})", soft_wrap=True)
+    out.print(f"picture:   {output / 'graph' / 'overview.png'}")
+    return EXIT_OK
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Outcome:
+    """What a run left behind."""
+
+    result: "RunResult"
+    log: "LaserLog"
+    output: Path
+    was_interrupted: bool
+
+
+def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> _Outcome:
+    """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
+    from slammot_graph.results import prepare_output, write_run_folder
+
+    prepare_output(output, overwrite=overwrite)
+    failure: Exception | None = None
+    n_scans = 0
+    with (
+        contextlib.closing(_make_run_log(run, output, rerun)) as run_log,
+        _interrupt_flag() as is_interrupted,
+    ):
+        steps = iter(run)
+        try:
+            with scan_progress(run.log, run.method) as show:
+                for n_scans, step in enumerate(steps, start=1):
+                    _record(run, run_log, step)
+                    show(n_scans)
+                    if is_interrupted():
+                        break
+        except Exception as error:  # a truncated log, a full disk: first save, then say so
+            if n_scans == 0:
+                raise
+            failure = error
+        finally:
+            if isinstance(steps, Generator):
+                steps.close()
+        result = run.result()
+        write_run_folder(output, result, log=run.log.path)
+        run_log.finish(result)
+    warn(run.log)
+    if failure is not None or is_interrupted():
+        why = "stopped" if failure is not None else "interrupted"
+        stderr().print(f"{why} after {n_scans} scans; what was computed is in {output}")
+    if failure is not None:
+        raise failure
+    return _Outcome(result=result, log=run.log, output=output, was_interrupted=is_interrupted())
+
+
+def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
+    run_log.log_step(step)
+    if run_log.wants_map:
+        run_log.log_map(run.pipeline.render_map())
+    if run_log.wants_graph:
+        run_log.log_graph(*run.pipeline.nodes_and_edges())
+    if run_log.wants_nodes:
+        run_log.log_nodes(run.pipeline.nodes_and_edges()[0])
+
+
+def _make_run_log(run: "Run", output: Path, mode: RerunMode) -> "RunLog":
+    from slammot_graph.config import to_plain
+    from slammot_graph.recording import NoRunLog, RerunLog
+
+    if mode == "off":
+        return NoRunLog()
+    path = output / "run.rrd" if mode == "file" else None
+    return RerunLog(path=path, spawn=mode == "spawn", method=run.method, config=to_plain(run.config))
+
+
+@contextlib.contextmanager
+def _interrupt_flag() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a question that the loop may ask; the second one stops at once."""
+    is_interrupted = False
+
+    def ask_to_stop(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal is_interrupted
+        if is_interrupted:
+            raise KeyboardInterrupt
+        is_interrupted = True
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = signal.signal(signal.SIGINT, ask_to_stop)
+    try:
+        yield lambda: is_interrupted
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run_table(outcome: _Outcome) -> Table:
+    import numpy as np
+
+    from slammot_graph.results import RUN_FILES
+
+    result, log = outcome.result, outcome.log
+    table = Table(title=f"{result.method} on {log.path.name}", show_header=False)
+    step_ms = result.stage_ms.get("step", np.zeros(0))
+    reasons = "; ".join(f"{scan.place}: {scan.reason}" for scan in log.skipped[:N_REASONS])
+    table.add_row("scans", str(len(result.stamps)) + ("" if result.is_complete else " (not the whole log)"))
+    table.add_row("skipped", f"{result.n_skipped}" + (f" ({reasons})" if reasons else ""))
+    table.add_row("failed matches", str(result.n_failed_matches))
+    table.add_row("nodes", str(len(result.nodes)))
+    table.add_row("loop closures", str(sum(edge.kind == "closure" for edge in result.edges)))
+    if step_ms.size:
+        median, p95 = np.percentile(step_ms, [50, 95])
+        table.add_row("ms per scan", f"{median:.2f} median, {p95:.2f} p95")
+    for path in map(outcome.output.joinpath, RUN_FILES):
+        if path.exists():
+            table.add_row(path.name, str(path))
+    return table
+
+
+def _truth_cells(result: "RunResult", log: "LaserLog") -> list[str]:
+    """What the demo's table says of a run over a log with truth."""
+    import numpy as np
+
+    from slammot_graph.evaluation import absolute_error, evaluate_points
+
+    truths = [scan.truth for scan in log if scan.truth is not None]
+    T_world_base = np.array([truth.T_world_base for truth in truths])
+    is_moving = np.array([truth.is_moving for truth in truths])
+    points = evaluate_points(result.is_moving, is_moving, result.is_valid)
+    return [
+        number(absolute_error(result.T_map_base, T_world_base).translation_m.rmse, 4),
+        number(points.precision, 3),
+        number(points.recall, 3),
+        number(points.iou, 3),
+        number(float(np.median(result.stage_ms["step"])), 2),
+    ]

@@ -1,0 +1,41 @@
+"""The colours of recordings and pictures, as 0xRRGGBBAA: a thing has one colour wherever it is shown."""
+
+COLOR_ESTIMATE = 0x0072B2FF
+COLOR_ODOMETRY = 0xE69F00FF
+COLOR_TRUTH = 0x009E73FF
+COLOR_STATIC = 0x2F6FB5FF
+COLOR_MOVING = 0xE3342FFF
+COLOR_CLOSURE = 0xCC33AAFF
+COLOR_MATCH = 0x56B4E9FF
+COLOR_BEFORE, COLOR_AFTER = 0x8C564BFF, 0x00A5B5FF
+TRACK_COLORS = (
+    0xD55E00FF,
+    0x7B3FA0FF,
+    0x009E73FF,
+    0xB8860BFF,
+    0xC2185BFF,
+    0x00838FFF,
+    0x5D4037FF,
+    0x33691EFF,
+)
+RUN_COLORS = (
+    0x0072B2FF,
+    0xD55E00FF,
+    0xCC79A7FF,
+    0x7B3FA0FF,
+    0xE6B800FF,
+    0x56B4E9FF,
+    0x8C564BFF,
+    0x444444FF,
+)
+"""Of several runs in one recording; none of them is that of the truth."""
+
+
+def track_color(track_id: int) -> int:
+    """Colour of a track, the same in all scans."""
+    return TRACK_COLORS[track_id % len(TRACK_COLORS)]
+
+
+def to_hex(rgba: int) -> str:
+    """Write a colour as matplotlib reads it, ``#rrggbbaa``."""
+    return f"#{rgba:08x}"

@@ -1,0 +1,229 @@
+"""What the recordings of one run and of several share: where they go, how maps and views are made.
+
+With `recording` and `comparison` the only importer of rerun, and only when something is recorded.
+Everything in the map frame lies at z = 0 but for small offsets that order the layers.
+"""
+
+import shutil
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slammot_graph.errors import InputError
+from slammot_graph.result_types import GridMap
+from slammot_graph.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+MAP_HEIGHT_M = -0.05
+"""Maps lie below all else."""
+
+
+class Sink:
+    """A stream of rerun and where it goes: a file, or a viewer that is opened.
+
+    Parameters
+    ----------
+    name : str
+        The application's name in the viewer; a layout is kept under it.
+    path : Path or None
+        The recording to write.
+    spawn : bool
+        Open a viewer and stream to it instead; exactly one of `path` and `spawn`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written or no viewer can be opened.
+    """
+
+    def __init__(self, name: str, *, path: Path | None, spawn: bool) -> None:
+        import rerun as rr
+
+        if (path is None) != spawn:
+            raise ValueError("give either a path or spawn=True")
+        self._target = f"the recording {path}" if path is not None else "the rerun viewer"
+        self._remedy = (
+            "free some space, choose another folder or pass --rerun off"
+            if path is not None
+            else "a viewer needs a display and the rerun of this environment; pass --rerun file instead"
+        )
+        batching = rr.ChunkBatcherConfig(flush_tick=0.2 if spawn else 5.0, flush_num_bytes=4 << 20)
+        self.rec = rr.RecordingStream(name, batcher_config=batching)
+        with self.errors():
+            if path is not None:
+                self.rec.save(path)
+            else:
+                executable = viewer_executable()
+                rr.spawn(recording=self.rec, executable_path=str(executable) if executable else None)
+                self.rec.flush(timeout_sec=10.0)
+            self.rec.set_log_time_enabled(False)
+
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """Turn what rerun or the disk says into one line."""
+        try:
+            yield
+        except (RuntimeError, OSError) as error:
+            lines = str(error).strip().splitlines() or [type(error).__name__]
+            raise InputError(f"cannot write {self._target}: {lines[0]}; {self._remedy}") from error
+
+    def log_text(self, path: str, text: str) -> None:
+        """Log a Markdown text that holds at all times."""
+        import rerun as rr
+
+        self.rec.log(path, rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    def flush(self) -> None:
+        """Wait until all is written."""
+        with self.errors():
+            self.rec.flush(timeout_sec=60.0)
+
+
+def viewer_executable() -> Path | None:
+    """Give the viewer of this environment, or else the one on the path; None where there is none."""
+    own = Path(sys.executable).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
+    if own.exists():
+        return own
+    found = shutil.which("rerun")
+    return None if found is None else Path(found)
+
+
+class Times:
+    """Scan indices and stamps of a batch, as columns of both timelines.
+
+    Parameters
+    ----------
+    index : (n,) int array
+    stamps : (n,) array [s]
+    """
+
+    def __init__(self, index: IntArray, stamps: FloatArray) -> None:
+        self._index = index
+        self._stamps = stamps
+
+    def __getitem__(self, rows: "Sequence[int] | IntArray") -> "Times":
+        return Times(self._index[rows], self._stamps[rows])
+
+    def columns(self) -> "list[rr.TimeColumn]":
+        """Give the columns of the timelines `scan` and `stamp`."""
+        import rerun as rr
+
+        nanoseconds = np.round(self._stamps * 1e9).astype(np.int64).view("datetime64[ns]")
+        return [rr.TimeColumn("scan", sequence=self._index), rr.TimeColumn("stamp", timestamp=nanoseconds)]
+
+
+# ----------------------------------------------------------------------------------------------------- entities
+
+
+def at_height(xy: FloatArray, z: float) -> Any:
+    """Planar points (..., 2) as float32 (..., 3) at a height [m]."""
+    xyz = np.empty((*xy.shape[:-1], 3), dtype=np.float32)
+    xyz[..., :2] = xy
+    xyz[..., 2] = z
+    return xyz
+
+
+def yaw_quaternion(yaw: FloatArray) -> Any:
+    """Turns about z [rad], (n,), as float32 quaternions x, y, z, w of shape (n, 4)."""
+    zero = np.zeros_like(yaw)
+    return np.column_stack([zero, zero, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]).astype(np.float32)
+
+
+def grid_map(grid: GridMap) -> "rr.GridMap":
+    """Make a map that has at least one cell an entity."""
+    import rerun as rr
+
+    n_rows, n_cols = grid.p_occupied.shape
+    # steps of 5%, which compress well and still show doubt
+    percent = np.round(np.nan_to_num(grid.p_occupied, nan=-0.05) * 20.0) * 5.0
+    cells = np.where(np.isnan(grid.p_occupied), -1, percent).astype(np.int8)
+    return rr.GridMap(
+        data=np.flipud(cells).tobytes(),  # its row 0 is the top, ours the lowest y
+        format=rr.components.ImageFormat(width=n_cols, height=n_rows, color_model="L", channel_datatype="U8"),
+        cell_size=grid.resolution_m,
+        translation=[grid.origin[0], grid.origin[1], MAP_HEIGHT_M],
+        colormap=rr.components.Colormap.RvizMap,
+    )
+
+
+# -------------------------------------------------------------------------------------------------------- views
+
+
+def view_of(T_map_base: FloatArray, grid: GridMap) -> tuple[FloatArray, float]:
+    """Centre (2,) and extent [m] of the known map and a trajectory (n, 3) of at least one pose."""
+    low, high = T_map_base[:, :2].min(axis=0), T_map_base[:, :2].max(axis=0)
+    rows, cols = np.nonzero(np.isfinite(grid.p_occupied))
+    if len(rows):
+        corners = np.array([[cols.min(), rows.min()], [cols.max() + 1, rows.max() + 1]])
+        corners_map = grid.origin + grid.resolution_m * corners
+        low, high = np.minimum(low, corners_map[0]), np.maximum(high, corners_map[1])
+    return 0.5 * (low + high), max(5.0, float((high - low).max()))
+
+
+def eye_above(x: float, y: float, height: float, up: tuple[float, float, float]) -> "rrb.EyeControls3D":
+    """Look straight down on (x, y) [m] from a height [m]."""
+    import rerun.blueprint as rrb
+
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=(x, y, height), look_target=(x, y, 0.0), eye_up=up
+    )
+
+
+def view_from_above(
+    name: str,
+    origin: str,
+    contents: list[str],
+    eye: "rrb.EyeControls3D",
+    overrides: "Mapping[rr.datatypes.EntityPath | str, Any] | None" = None,
+) -> "rrb.Spatial3DView":
+    """Lay out a view of the plane."""
+    import rerun.blueprint as rrb
+
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        contents=contents,
+        eye_controls=eye,
+        overrides=overrides,
+        background=(128, 140, 138),
+        line_grid=False,
+    )
+
+
+def until_cursor(n_scans: int | None = None) -> "rrb.VisibleTimeRanges":
+    """Show what was logged up to the cursor, of the last `n_scans` or of all."""
+    import rerun.blueprint as rrb
+
+    start = (
+        rrb.TimeRangeBoundary.infinite()
+        if n_scans is None
+        else rrb.TimeRangeBoundary.cursor_relative(seq=-n_scans)
+    )
+    return rrb.VisibleTimeRanges(
+        timeline="scan", start=start, end=rrb.TimeRangeBoundary.cursor_relative(seq=0)
+    )
+
+
+def plot_view(name: str, group: str) -> "rrb.TimeSeriesView":
+    """Lay out a plot of the lines below ``/plots/group``."""
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name)
+
+
+def collapsed_panels() -> "tuple[rrb.TimePanel, rrb.SelectionPanel, rrb.BlueprintPanel]":
+    """Give the panels around the views, all but the time line put away."""
+    import rerun.blueprint as rrb
+
+    return (
+        rrb.TimePanel(state="collapsed", timeline="scan"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
