@@ -12,7 +12,6 @@ from slammot_graph.errors import ConfigError
 from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.graph.pose_graph import PoseGraphConfig
 from slammot_graph.grid import GridConfig, OccupancyGrid
-from slammot_graph.linalg import mahalanobis2
 from slammot_graph.localization import (
     DeadReckoning,
     Estimate,
@@ -200,7 +199,6 @@ class Pipeline:
                     )
                 with watch.stage("detect"):
                     detection = self._judge(scan, is_valid, predicted, detection, matched, match)
-        nis = _innovation_nis(predicted, match)
         is_static = is_valid & ~detection.is_moving
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)
@@ -219,6 +217,9 @@ class Pipeline:
             cov_map=matched.cov_absolute,
             T_map_base_predicted=se2.compose(T_map_local, predicted.T_local_base),
             cov_relative=self._test_covariance(predicted),
+            anchor_scan=matched.anchor_scan,
+            T_anchor_base=matched.T_anchor_base,
+            cov_anchor_base=matched.cov_relative,
             is_valid=is_valid,
             is_moving=detection.is_moving,
             p_moving=detection.p_moving,
@@ -226,7 +227,7 @@ class Pipeline:
             packed_cov=detection.packed_cov,
             local_yaw=float(T_map_local[2]),
             match=match,
-            innovation_nis=nis,
+            innovation_nis=math.nan if match is None else match.nis,
             tracks=tracks,
             node=node,
             events=tuple(events),
@@ -297,7 +298,7 @@ class Pipeline:
         """
         if match is not None and match.status == "failed":
             return detection if match.is_refused else detection.stand_back()
-        if _innovation_nis(predicted, match) > self.config.motion.stand_back_nis:
+        if match is not None and match.nis > self.config.motion.stand_back_nis:
             return detection.stand_back()
         return self._detect(scan, is_valid, matched)
 
@@ -418,10 +419,3 @@ def _beams(
         points_base = np.where(is_missing[:, None], far, points_base)
         is_beam = is_valid | is_missing
     return np.vstack([scan.laser.origin_base, points_base]), is_beam
-
-
-def _innovation_nis(predicted: Estimate, match: MatchResult | None) -> float:
-    """Normalised innovation squared of the match: 3 degrees of freedom if prediction and match are honest."""
-    if match is None or match.status == "failed":
-        return math.nan
-    return mahalanobis2(match.innovation, predicted.cov_relative + match.cov)

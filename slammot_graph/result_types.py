@@ -1,5 +1,6 @@
 """What a step and a run hand out: plain arrays with their units and frames, nothing that computes."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -27,11 +28,18 @@ class MatchResult:
         Covariance of `T_ref_base`, right perturbation, order (x, y, theta); huge in unconstrained directions.
     information : (3, 3) array
         Its inverse, zero in the directions that the match says nothing about.
+    graph_information : (3, 3) array
+        The same for a pose graph, which takes the errors of its factors for independent: cautious.
+    cov_common : (3, 3) array
+        The part of `cov` that the matches of the next scans share (the same lines of the same local map).
     n_iterations, n_correspondences : int
     inlier_ratio : float
         Share of the matched points that found a partner and agree with it.
     residual_m : float
         Robust root mean square of the residuals [m].
+    nis : float
+        Normalised square of the innovation against the prediction and this match (3 degrees of freedom if both are
+        honest); NaN where the match failed or was made without a prediction.
     reason : str
         Why it failed or is degenerate; empty when converged.
     is_refused : bool
@@ -43,10 +51,13 @@ class MatchResult:
     innovation: FloatArray
     cov: FloatArray
     information: FloatArray
+    graph_information: FloatArray
+    cov_common: FloatArray
     n_iterations: int
     n_correspondences: int
     inlier_ratio: float
     residual_m: float
+    nis: float = math.nan
     reason: str = ""
     is_refused: bool = False
 
@@ -134,6 +145,12 @@ class StepResult:
     cov_relative : (3, 3) array
         The covariance that the moving-point test used: of the predicted base relative to the local map's anchor
         (or what the method puts in its place), body frame.
+    anchor_scan : int
+        Index of the scan that the local map hangs on when this one was matched; -1 where there is none.
+    T_anchor_base : (3,) array
+        The matched pose relative to that scan's.
+    cov_anchor_base : (3, 3) array
+        Its covariance, right perturbation (body frame).
     is_valid, is_moving : (n_beams,) bool arrays
     p_moving : (n_beams,) array
         Probability that the beam hit something moving; NaN where not valid.
@@ -162,6 +179,9 @@ class StepResult:
     cov_map: FloatArray
     T_map_base_predicted: FloatArray
     cov_relative: FloatArray
+    anchor_scan: int
+    T_anchor_base: FloatArray
+    cov_anchor_base: FloatArray
     is_valid: BoolArray
     is_moving: BoolArray
     p_moving: FloatArray

@@ -12,7 +12,7 @@ from slammot_graph.closure.joining import Vote, elect
 from slammot_graph.closure.submap import CELL_M, OCCUPIED_SCORE, PreparedSubmap, Submap
 from slammot_graph.errors import ConfigError
 from slammot_graph.graph import PoseGraph
-from slammot_graph.linalg import mahalanobis2
+from slammot_graph.linalg import invert, mahalanobis2
 from slammot_graph.matching import LocalMap, LocalMapConfig, PointToLineConfig, match_to_local_map
 from slammot_graph.result_types import ClosureAttempt, ClosureStatus, GraphEdge
 from slammot_graph.types import FloatArray
@@ -290,7 +290,7 @@ class LoopCloser:
         used = np.ones(len(all_points), dtype=np.bool_)
         weak_prior = np.diag([1.0, 1.0, 0.25])
         from_anywhere = np.full(2, np.nan)
-        match, _ = match_to_local_map(
+        match, _, _ = match_to_local_map(
             all_points, used, from_anywhere, self._field, start, weak_prior, config.point_to_line
         )
         if match.status == "failed":
@@ -312,8 +312,8 @@ class LoopCloser:
             target=target,
             source=source,
             T_target_source=match.T_ref_base,
-            cov=match.cov,
-            information=match.information,
+            cov=invert(match.graph_information + 1e-6 * np.eye(3)),
+            information=match.graph_information,
         )
         return closure, ""
 

@@ -1,10 +1,11 @@
 """What the pipeline asks of a localizer, and what it gets."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
+from slammot_graph import se2
 from slammot_graph.linalg import invert
 from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.scan import Scan
@@ -22,11 +23,17 @@ class Estimate:
         Relative to the local map's anchor; for localizers without one, to the previous scan.
     cov_absolute : (3, 3) array
         In the map. Both are right perturbations (body frame).
+    T_anchor_base : (3,) array
+        The pose that `cov_relative` is about.
+    anchor_scan : int
+        Index of the anchor's scan; -1 where there is none.
     """
 
     T_local_base: FloatArray
     cov_relative: FloatArray
     cov_absolute: FloatArray
+    T_anchor_base: FloatArray = field(default_factory=lambda: se2.IDENTITY)
+    anchor_scan: int = -1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,16 +103,23 @@ class Localizer(Protocol):
         """Release threads."""
 
 
-def fuse(cov_predicted: FloatArray, match: MatchResult) -> FloatArray:
-    """(3, 3) covariance of a prediction and a match taken together."""
-    return invert(invert(cov_predicted) + match.information)
+def fuse(cov_prior: FloatArray, match: MatchResult) -> FloatArray:
+    """(3, 3) covariance of a prediction and a match taken together, as the next prior counts it: cautious."""
+    return invert(invert(cov_prior) + match.graph_information)
 
 
 def refuse(match: MatchResult, T_predicted: FloatArray, reason: str) -> MatchResult:
     """Call a match failed after all: it tells nothing."""
     nothing = np.zeros((3, 3))
     return replace(
-        match, status="failed", information=nothing, cov=1e6 * np.eye(3), reason=reason, is_refused=True
+        match,
+        status="failed",
+        information=nothing,
+        graph_information=nothing,
+        cov=1e6 * np.eye(3),
+        nis=np.nan,
+        reason=reason,
+        is_refused=True,
     )
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
-from slammot_graph.graph import PoseGraph, PoseGraphConfig
+from slammot_graph.graph import LocalFactors, PoseGraph, PoseGraphConfig
 from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
-from slammot_graph.linalg import invert, mahalanobis2
+from slammot_graph.linalg import invert
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
 from slammot_graph.matching import (
     Keyframe,
@@ -54,7 +54,8 @@ class _Prediction:
     """What a match starts from, so that a scan can be matched again."""
 
     T_local_base: FloatArray
-    cov_relative: FloatArray
+    cov_prior: FloatArray
+    cov_own: FloatArray
     cov_odometry: FloatArray
     doubt: float
 
@@ -80,6 +81,7 @@ class ScanToMap:
         self.n_lost = n_lost
         self.local_map = LocalMap(local_map)
         self.graph = PoseGraph(graph)
+        self.local_factors = LocalFactors()
         self.closer = None if closure is None else LoopCloser(closure, local_map, self.graph)
         self._n_submaps = 0
         self.n_times_lost = 0
@@ -87,13 +89,19 @@ class ScanToMap:
         self._closures: tuple[ClosureAttempt, ...] = ()
         self._T_local_base: FloatArray = se2.IDENTITY
         self._T_local_before: FloatArray = se2.IDENTITY
-        self._cov_relative: FloatArray = FIRST_COV
+        self._cov_prior: FloatArray = FIRST_COV
+        self._cov_own: FloatArray = FIRST_COV
+        self._cov_common: FloatArray = np.zeros((3, 3))
         self._cov_anchor: FloatArray = FIRST_COV
         self._T_odom_base: FloatArray | None = None
         self._laser_base: FloatArray = np.zeros(2)
         self._match: MatchResult | None = None
         self._prediction = _Prediction(
-            T_local_base=se2.IDENTITY, cov_relative=FIRST_COV, cov_odometry=np.zeros((3, 3)), doubt=0.0
+            T_local_base=se2.IDENTITY,
+            cov_prior=FIRST_COV,
+            cov_own=FIRST_COV,
+            cov_odometry=np.zeros((3, 3)),
+            doubt=0.0,
         )
         # since the last node
         self._T_odom_node: FloatArray = se2.IDENTITY
@@ -125,13 +133,15 @@ class ScanToMap:
             cov = self.noise.covariance(increment)
             self._T_local_base = se2.compose(self._T_local_base, increment)
             self._path_m += float(np.hypot(increment[0], increment[1]))
-            self._cov_relative = se2.compound_covariance(self._cov_relative, increment, cov)
+            self._cov_prior = se2.compound_covariance(self._cov_prior, increment, cov)
+            self._cov_own = se2.compound_covariance(self._cov_own, increment, cov)
             self._cov_odometry = se2.compound_covariance(self._cov_odometry, increment, cov)
         self._T_odom_base = scan.T_odom_base
         self._laser_base = scan.laser.origin_base
         self._prediction = _Prediction(
             T_local_base=self._T_local_base,
-            cov_relative=self._cov_relative,
+            cov_prior=self._cov_prior,
+            cov_own=self._cov_own,
             cov_odometry=self._cov_odometry,
             doubt=self._doubt,
         )
@@ -143,57 +153,69 @@ class ScanToMap:
         """See `Localizer`."""
         self._match = None
         before = self._prediction
-        self._T_local_base, self._cov_relative = before.T_local_base, before.cov_relative
+        self._T_local_base, self._cov_prior, self._cov_own = (
+            before.T_local_base,
+            before.cov_prior,
+            before.cov_own,
+        )
         self._cov_odometry = before.cov_odometry
         scale_m = kernel_factor * self.config.kernel_scale_m
         self.matching = replace(self.config, kernel_scale_m=scale_m)
         if self.local_map.keyframes:
-            match, T_local_base = self._match_from(
-                points_base, is_static, self._T_local_base, self._cov_relative
+            match, T_local_base, cov_own = self._match_from(
+                points_base, is_static, self._T_local_base, self._cov_prior, self._cov_own
             )
-            nis = self._innovation2(match)
+            nis = 0.0 if match.status == "failed" else match.nis
             if match.status == "failed" or (match.inlier_ratio < JUMP_INLIERS and nis > JUMP_NIS):
                 second = self._match_without_odometry(points_base, is_static, match)
-                match, T_local_base = second or (match, T_local_base)
+                match, T_local_base, cov_own = second or (match, T_local_base, cov_own)
             if match.status == "failed" and kernel_factor < 1.0:
                 return self.match(points_base, is_static)
             self._doubt = before.doubt + 0.1 * (min(nis, MOST_NIS) - before.doubt)
             if nis > self.matching.max_nis and self._doubt > self.matching.max_nis:
                 match = refuse(match, self._T_local_base, f"improbable, innovation squared {nis:.0f}")
-                T_local_base = self._T_local_base
-            self._match, self._T_local_base = match, T_local_base
-            self._cov_relative = fuse(self._cov_relative, self._match)
+                T_local_base, cov_own = self._T_local_base, self._cov_own
+            self._match, self._T_local_base, self._cov_own = match, T_local_base, cov_own
+            if match.status != "failed":
+                self._cov_common = match.cov_common
+                self._cov_prior = fuse(self._cov_prior, match)
         return self._estimate(), self._match
 
     def _match_from(
-        self, points_base: FloatArray, is_static: BoolArray, T_local_base: FloatArray, cov: FloatArray
-    ) -> tuple[MatchResult, FloatArray]:
+        self,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        T_local_base: FloatArray,
+        cov: FloatArray,
+        cov_own: FloatArray,
+    ) -> tuple[MatchResult, FloatArray, FloatArray]:
         return match_to_local_map(
-            points_base, is_static, self._laser_base, self.local_map, T_local_base, cov, self.matching
+            points_base,
+            is_static,
+            self._laser_base,
+            self.local_map,
+            T_local_base,
+            cov,
+            self.matching,
+            cov_own,
         )
-
-    def _innovation2(self, match: MatchResult) -> float:
-        """Normalised square of the innovation; 0 for a failed match."""
-        if match.status == "failed":
-            return 0.0
-        return mahalanobis2(match.innovation, self._cov_relative + match.cov)
 
     def _match_without_odometry(
         self, points_base: FloatArray, is_static: BoolArray, doubtful: MatchResult
-    ) -> tuple[MatchResult, FloatArray] | None:
+    ) -> tuple[MatchResult, FloatArray, FloatArray] | None:
         """Match again from where the robot was before, in case it is the odometry that jumped.
 
         Where that is clearly better, the increment's covariance grows to `LOST_STD`; where not, None.
         """
         wide = np.diag(np.square(LOST_STD))
-        match, T_local_base = self._match_from(points_base, is_static, self._T_local_before, wide)
+        match, T_local_base, cov = self._match_from(points_base, is_static, self._T_local_before, wide, wide)
         needed = (
             JUMP_INLIERS if doubtful.status == "failed" else max(JUMP_INLIERS, doubtful.inlier_ratio + 0.15)
         )
         if match.status != "failed" and match.inlier_ratio > needed:
             self._cov_odometry = self._cov_odometry + wide
-            self._cov_relative = wide
-            return match, T_local_base
+            self._cov_prior = wide
+            return match, T_local_base, cov
         return None
 
     def commit(
@@ -227,7 +249,7 @@ class ScanToMap:
             T_node_base=se2.between(self._T_local_node, self._T_local_base),
             anchor=anchor,
             T_anchor_base=T_anchor_base,
-            cov_relative=self._cov_relative,
+            cov_relative=self._cov_own + self._cov_common,
         )
         self._visits.append(visit)
         return node, events
@@ -269,10 +291,15 @@ class ScanToMap:
         return max(len(self.graph) - 1, 0), se2.between(self._T_local_node, self._T_local_base)
 
     def _estimate(self) -> Estimate:
-        _, T_anchor_base = self._from_anchor()
-        cov_absolute = se2.compound_covariance(self._cov_anchor, T_anchor_base, self._cov_relative)
+        anchor, T_anchor_base = self._from_anchor()
+        cov_relative = self._cov_own + self._cov_common
+        cov_absolute = se2.compound_covariance(self._cov_anchor, T_anchor_base, cov_relative)
         return Estimate(
-            T_local_base=self._T_local_base, cov_relative=self._cov_relative, cov_absolute=cov_absolute
+            T_local_base=self._T_local_base,
+            cov_relative=cov_relative,
+            cov_absolute=cov_absolute,
+            T_anchor_base=T_anchor_base,
+            anchor_scan=self._node_scans[anchor] if self._node_scans else -1,
         )
 
     def _why_lost(self, scan: Scan, has_points: bool) -> str:
@@ -294,7 +321,8 @@ class ScanToMap:
         last = len(self.graph) - 1
         self._cov_odometry = self._cov_odometry + np.diag(np.square(LOST_STD))
         self._cov_anchor = self.graph.marginal(last)
-        self._cov_relative = self._cov_odometry
+        self._cov_prior = self._cov_own = self._cov_odometry
+        self._cov_common = np.zeros((3, 3))
         self._path_m += LOST_PATH_M
         if self.closer is not None and len(self.local_map.keyframes) > 1:
             self.closer.submaps.append(self._submap(tuple(self.local_map.keyframes)))
@@ -314,10 +342,14 @@ class ScanToMap:
             last = len(self.graph) - 1
             node = self.graph.add_node(se2.compose(self.T_map_local, self._T_local_base))
             T_last_node = se2.between(self._T_odom_node, scan.T_odom_base)
-            self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
-            if self._match is not None and self._match.status != "failed" and self.local_map.keyframes:
-                anchor = self.local_map.anchor.node
-                self.graph.add_edge("match", anchor, node, self._match.T_ref_base, self._match.information)
+            odometry = self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
+            is_matched = self._match is not None and self._match.status != "failed"
+            if self._match is not None and is_matched and self.local_map.keyframes:
+                anchor, T_anchor_node = self.local_map.anchor.node, self._match.T_ref_base
+                self.graph.add_edge("match", anchor, node, T_anchor_node, self._match.graph_information)
+                self.local_factors.add(odometry, self._T_local_base, self._match.information)
+            else:
+                self.local_factors.add(odometry, self._T_local_base, np.zeros((3, 3)))
             self.graph.update()
         self._T_map_node = self.graph.pose(node)
         self._T_local_node = self._T_local_base
@@ -334,7 +366,7 @@ class ScanToMap:
             node, self._T_local_base, points_base, is_static, scan.laser, self.local_map.config
         )
         is_first = not self.local_map.keyframes
-        finished = self.local_map.add(keyframe)
+        finished = self.local_map.add(keyframe, None if is_first else self._cov_own)
         has_closed, events = False, list[str]()
         if finished and self.closer is not None:
             has_closed, self._closures = self.closer.consider(self._submap(finished))
@@ -344,5 +376,12 @@ class ScanToMap:
             self._T_map_node = self.graph.pose(node)
         if is_first or finished:
             self._cov_anchor = self.graph.marginal(anchor)
-        self._cov_relative = FIRST_COV if anchor == node else self.graph.relative_covariance(anchor, node)
+        if is_first:
+            self.local_factors.start(node, self._T_local_base)
+            self._cov_own, self._cov_common = FIRST_COV, np.zeros((3, 3))
+        elif finished:
+            covs = self.local_factors.relative_to(anchor)
+            self.local_map.set_covariances(covs)
+            self._cov_own = covs[-1]
+        self._cov_prior = FIRST_COV if anchor == node else self.graph.relative_covariance(anchor, node)
         return events

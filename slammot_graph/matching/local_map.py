@@ -134,6 +134,11 @@ class LocalMap:
     points, normals : (capacity, 2) arrays
         Ring buffers by running number.
     nearest : (side, side) int32 array
+    owner : (capacity,) int32 array
+        Which of the keyframes a point comes from.
+    T_local_keyframes : (k, 3) array
+    keyframe_roots : (k, 3, 3) array
+        Square roots of the keyframes' covariances relative to the anchor (body frames).
     first, end : int
         Running numbers of the current points.
     """
@@ -148,6 +153,9 @@ class LocalMap:
         self.points = np.zeros((self.CAPACITY, 2))
         self.normals = np.zeros((self.CAPACITY, 2))
         self.nearest = np.full((side, side), -1, dtype=np.int32)
+        self.owner = np.zeros(self.CAPACITY, dtype=np.int32)
+        self.T_local_keyframes = np.empty((0, 3))
+        self.keyframe_roots = np.empty((0, 3, 3))
         self.first = self.end = 0
 
     @property
@@ -165,10 +173,14 @@ class LocalMap:
             or abs(moved[2]) > self.config.keyframe_rotation_rad
         )
 
-    def add(self, keyframe: Keyframe) -> tuple[Keyframe, ...]:
-        """Take in a keyframe; the keyframes of the map that this filled, when a new one took over, else none."""
+    def add(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> tuple[Keyframe, ...]:
+        """Take in a keyframe; the keyframes of the map that this filled, when a new one took over, else none.
+
+        `cov_anchor` (3, 3) is the keyframe's covariance relative to the anchor (body frame); by default zero. Of a map
+        that takes over, give those of its keyframes to `set_covariances`.
+        """
         self.keyframes.append(keyframe)
-        self._insert(keyframe)
+        self._insert(keyframe, cov_anchor)
         if len(self.keyframes) < self.config.max_keyframes:
             return ()
         finished = tuple(self.keyframes)
@@ -179,15 +191,23 @@ class LocalMap:
         """Begin a new local map from the given keyframes; with none it is empty."""
         self.keyframes = list(keyframes)
         self.first = self.end
+        self.T_local_keyframes, self.keyframe_roots = np.empty((0, 3)), np.empty((0, 3, 3))
         for keyframe in self.keyframes:
             self._insert(keyframe)
+
+    def set_covariances(self, covs_anchor: FloatArray) -> None:
+        """Set the (k, 3, 3) covariances of the k keyframes relative to the anchor (body frames)."""
+        self.keyframe_roots = np.array([_root(cov) for cov in covs_anchor])
 
     def current_points(self) -> FloatArray:
         """(n, 2) points of the local map in the local frame [m]."""
         return self.points[np.arange(self.first, self.end) % self.CAPACITY]
 
-    def _insert(self, keyframe: Keyframe) -> None:
-        T = keyframe.T_local_base
+    def _insert(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> None:
+        T, begin = keyframe.T_local_base, self.end
+        root = np.zeros((3, 3)) if cov_anchor is None else _root(cov_anchor)
+        self.T_local_keyframes = np.vstack([self.T_local_keyframes, T])
+        self.keyframe_roots = np.concatenate([self.keyframe_roots, root[None]])
         self.end = _kernels.insert_points(
             self.points,
             self.normals,
@@ -201,3 +221,11 @@ class LocalMap:
             self.config.spacing_m,
             math.ceil(self.config.reach_m * self.inv_cell),
         )
+        self.owner[np.arange(begin, self.end) % self.CAPACITY] = len(self.T_local_keyframes) - 1
+
+
+def _root(cov: FloatArray) -> FloatArray:
+    """A (3, 3) matrix whose square is the covariance, which may be zero."""
+    values, vectors = np.linalg.eigh(cov)
+    root: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return root

@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
-from slammot_graph.linalg import invert
+from slammot_graph.linalg import invert, mahalanobis2
 from slammot_graph.matching import _kernels
 from slammot_graph.matching.local_map import LocalMap
 from slammot_graph.result_types import MatchResult, MatchStatus
@@ -20,10 +20,19 @@ class PointToLineConfig:
     Attributes
     ----------
     residual_std_m : float
-        Standard deviation of one residual, of the scan and of the map together.
+        Standard deviation of one residual as weighed against the prediction: cautious, since a residual may be wrong
+        altogether.
     floor_std_m : float
-        What no match is better than, for errors common to all beams; added per direction, a rotation counted
-        at the mean distance of the points.
+        What no match counts better than in the pose graph, which takes the errors of its factors for independent;
+        added per direction, a rotation counted at the mean distance of the points.
+    noise_std_m : float
+        Standard deviation of the part of a residual that is its own: the beam's noise and its map point's.
+    line_std_m : float
+        Of the part that all residuals on one line of the local map share, and with them the next scans.
+    line_gap_m : float
+        Pairs that follow each other are on one line if the later one's map point is this near to it.
+    common_std_m, common_std_rad : float
+        Of what all residuals share, in the pose.
     kernel_scale_m : float
         Geman-McClure: a residual of this size gets a quarter of the weight.
     max_iterations : int
@@ -39,12 +48,20 @@ class PointToLineConfig:
         A match whose normalised innovation squared is above this is refused, but only while its running mean is
         above it too: then the match keeps contradicting the odometry, as when most of what the laser sees walks
         with the robot.
+    fragile_pairs : float
+        A direction that so many pairs determine is known to `kernel_scale_m` only, since they may all be on something
+        that moves; one that twice as many do, to a quarter of that.
     search_m, search_rad : float
         A failed match is tried again from starts this far around the prediction.
     """
 
     residual_std_m: float = 0.03
     floor_std_m: float = 0.004
+    noise_std_m: float = 0.017
+    line_std_m: float = 0.003
+    line_gap_m: float = 0.1
+    common_std_m: float = 0.001
+    common_std_rad: float = 0.0004
     kernel_scale_m: float = 0.1
     max_iterations: int = 20
     min_step_m: float = 1e-4
@@ -52,15 +69,33 @@ class PointToLineConfig:
     min_pairs: int = 15
     min_inlier_ratio: float = 0.3
     weak_ratio: float = 0.01
+    fragile_pairs: float = 2.0
     max_nis: float = 16.0
     search_m: float = 0.25
     search_rad: float = 0.15
 
     def __post_init__(self) -> None:
-        for name in ("residual_std_m", "kernel_scale_m", "min_step_m", "min_step_rad", "max_nis"):
+        for name in (
+            "residual_std_m",
+            "noise_std_m",
+            "kernel_scale_m",
+            "min_step_m",
+            "min_step_rad",
+            "max_nis",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"point_to_line.{name} must be positive, not {getattr(self, name)}")
-        for name in ("floor_std_m", "weak_ratio", "search_m", "search_rad"):
+        for name in (
+            "floor_std_m",
+            "line_std_m",
+            "line_gap_m",
+            "common_std_m",
+            "common_std_rad",
+            "weak_ratio",
+            "fragile_pairs",
+            "search_m",
+            "search_rad",
+        ):
             if not getattr(self, name) >= 0.0:
                 raise ConfigError(f"point_to_line.{name} must not be negative, not {getattr(self, name)}")
         if self.max_iterations < 1 or self.min_pairs < 3:
@@ -94,7 +129,8 @@ def match_to_local_map(
     T_local_base: FloatArray,
     cov_predicted: FloatArray,
     config: PointToLineConfig,
-) -> tuple[MatchResult, FloatArray]:
+    cov_own: FloatArray | None = None,
+) -> tuple[MatchResult, FloatArray, FloatArray]:
     """Match a scan onto the local map.
 
     Parameters
@@ -108,7 +144,9 @@ def match_to_local_map(
     T_local_base : (3,) array
         Predicted base in the local frame: the start, and the mean of the prior.
     cov_predicted : (3, 3) array
-        Its covariance (body frame). The prior decides where the match is weak, and only there.
+        Its covariance (body frame), as the prior counts: cautious. It decides where the match is weak, and only there.
+    cov_own : (3, 3) array, optional
+        Its covariance relative to the anchor (body frame), without what scans have in common; by default the same.
 
     Returns
     -------
@@ -116,6 +154,8 @@ def match_to_local_map(
         `T_ref_base` is relative to the local map's anchor and free of the prior where the match is well determined.
     (3,) array
         The estimate with the prior, base in the local frame; the prediction itself if the match failed.
+    (3, 3) array
+        Its covariance relative to the anchor (body frame), without `MatchResult.cov_common`.
     """
     prior = invert(cov_predicted)
     best = _solve(points_base, is_static, laser_base, local_map, T_local_base, T_local_base, prior, config)
@@ -124,7 +164,11 @@ def match_to_local_map(
             other = _solve(points_base, is_static, laser_base, local_map, start, T_local_base, prior, config)
             if other.stats[2] > best.stats[2]:
                 best = other
-    return _judge(best, local_map, T_local_base, points_base, is_static, config)
+    if cov_own is None:
+        cov_own = cov_predicted
+    return _judge(
+        best, local_map, T_local_base, cov_predicted, cov_own, points_base, is_static, laser_base, config
+    )
 
 
 def _solve(
@@ -179,23 +223,49 @@ def _judge(
     solution: _Solution,
     local_map: LocalMap,
     T_predicted: FloatArray,
+    cov_predicted: FloatArray,
+    cov_own_predicted: FloatArray,
     points_base: FloatArray,
     is_static: BoolArray,
+    laser_base: FloatArray,
     config: PointToLineConfig,
-) -> tuple[MatchResult, FloatArray]:
+) -> tuple[MatchResult, FloatArray, FloatArray]:
     """Tell converged, degenerate and failed apart, and give the match its covariance."""
     n_pairs, sum_weights, sum_squares = int(solution.stats[1]), solution.stats[2], solution.stats[3]
-    residual_m = float(np.sqrt(sum_squares / max(sum_weights, 1e-9)))
     reason = ""
     if n_pairs < config.min_pairs:
         reason = f"only {n_pairs} points found a partner"
     elif solution.inlier_ratio < config.min_inlier_ratio:
         reason = f"only {100 * solution.inlier_ratio:.0f}% of the points agree with the local map"
     if reason:
-        information, status, T = np.zeros((3, 3)), "failed", T_predicted
-        T_free = T_predicted
+        status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_own_predicted, np.nan
+        information, graph_information, cov_common = np.zeros((3, 3, 3))
+        innovation = np.zeros(3)
     else:
-        T, T_free, information = solution.T, np.empty(3), np.empty((3, 3))
+        T, T_free, cov = solution.T, np.empty(3), np.empty((3, 3))
+        white, common, inherited = np.empty((3, 3, 3))
+        information, graph_information, gain_information = np.empty((3, 3, 3))
+        cov_own, cov_common, cov_map = np.empty((3, 3, 3))
+        _kernels.residual_scatter(
+            local_map.points,
+            local_map.normals,
+            local_map.nearest,
+            local_map.inv_cell,
+            local_map.first,
+            points_base,
+            is_static,
+            laser_base,
+            T,
+            local_map.config.reach_m**2,
+            config.kernel_scale_m**2,
+            config.line_gap_m,
+            local_map.owner,
+            local_map.T_local_keyframes,
+            local_map.keyframe_roots,
+            white,
+            common,
+            inherited,
+        )
         n_weak = _kernels.judge_match(
             points_base,
             is_static,
@@ -203,12 +273,26 @@ def _judge(
             T,
             solution.H,
             solution.g,
+            white,
+            common,
+            inherited,
             float(n_pairs),
             config.residual_std_m,
             config.floor_std_m,
+            config.noise_std_m,
+            config.line_std_m,
+            config.common_std_m,
+            config.common_std_rad,
+            config.kernel_scale_m,
             config.weak_ratio,
+            config.fragile_pairs,
             T_free,
             information,
+            graph_information,
+            gain_information,
+            cov_own,
+            cov_common,
+            cov_map,
         )
         status = ("converged", "degenerate", "degenerate", "failed")[n_weak]
         if n_weak:
@@ -217,18 +301,28 @@ def _judge(
                 if n_weak == 3
                 else f"{n_weak} of 3 directions are not determined"
             )
-    cov = invert(information + 1e-6 * np.eye(3))
+        innovation = se2.log(se2.between(T_predicted, T_free))
+        nis = mahalanobis2(innovation, cov_predicted + _invert(graph_information)) if n_weak < 3 else np.nan
+        _kernels.fuse(cov_predicted, cov_own_predicted, gain_information, cov_own, cov_map, cov)
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(
         status=match_status,
         T_ref_base=se2.between(local_map.anchor.T_local_base, T_free),
-        innovation=se2.log(se2.between(T_predicted, T_free)),
-        cov=cov,
+        innovation=innovation,
+        cov=_invert(information),
         information=information,
+        graph_information=graph_information,
+        cov_common=cov_common,
+        nis=nis,
         n_iterations=solution.iterations,
         n_correspondences=n_pairs,
         inlier_ratio=solution.inlier_ratio,
-        residual_m=residual_m,
+        residual_m=float(np.sqrt(sum_squares / max(sum_weights, 1e-9))),
         reason=reason,
     )
-    return result, T
+    return result, T, cov
+
+
+def _invert(information: FloatArray) -> FloatArray:
+    """Covariance of an information matrix that may be singular: huge in directions without any."""
+    return invert(information + 1e-6 * np.eye(3))

@@ -12,6 +12,8 @@ def match_of(information: FloatArray) -> MatchResult:
         innovation=np.zeros(3),
         cov=np.eye(3),
         information=information,
+        graph_information=information,
+        cov_common=np.zeros((3, 3)),
         n_iterations=1,
         n_correspondences=1,
         inlier_ratio=1.0,

@@ -51,7 +51,7 @@ def match(
         start,
         cov,
         PointToLineConfig(**config),  # type: ignore[arg-type]
-    )
+    )[:2]
 
 
 @pytest.mark.parametrize(
@@ -95,8 +95,13 @@ def test_covariance_inverts_information_and_is_symmetric() -> None:
     result, _ = match(take_scan(A), map_from(A, ORIGIN), ORIGIN)
     np.testing.assert_allclose(result.cov @ result.information, np.eye(3), atol=1e-6)
     np.testing.assert_allclose(result.information, result.information.T, rtol=1e-12)
-    floor = PointToLineConfig().floor_std_m
-    assert (np.sqrt(np.diag(result.cov))[:2] > floor).all()
+    config = PointToLineConfig()
+    assert (
+        np.sqrt(np.diag(result.cov)) > [config.common_std_m, config.common_std_m, config.common_std_rad]
+    ).all()
+    assert np.linalg.eigvalsh(result.cov - result.cov_common)[0] > 0.0
+    graph_cov = np.linalg.inv(result.graph_information)
+    assert (np.sqrt(np.diag(graph_cov))[:2] > config.floor_std_m).all()
 
 
 def test_a_far_start_is_found_by_searching_around_it() -> None:

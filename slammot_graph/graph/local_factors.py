@@ -1,0 +1,73 @@
+"""The pose graph's factors around the local map, and the marginal covariances of its keyframes from them alone."""
+
+import numpy as np
+
+from slammot_graph import se2
+from slammot_graph.result_types import GraphEdge
+from slammot_graph.types import FloatArray
+
+MAP = -1
+"""Number of the local map itself among the nodes."""
+
+_BARELY = 1e-4 * np.eye(3)
+"""Information that ties each node to the local map, so that the system can be solved [1/m^2, 1/rad^2]."""
+
+_FIRMLY = 1e8 * np.eye(3)
+
+
+class LocalFactors:
+    """Odometry from keyframe to keyframe, and each keyframe's match on the local map.
+
+    In the whole graph a match hangs on the anchor. But it was made on the points of all keyframes of the local map,
+    and these go over into the next one: here the local map is a node of its own that all matches hang on. The
+    errors relative to an anchor thus do not grow from one local map to the next as long as matches hold it in place,
+    and where they do not, as along a corridor, they grow with the odometry.
+    """
+
+    def __init__(self) -> None:
+        self._edges: list[GraphEdge] = []
+
+    def start(self, node: int, T_local_base: FloatArray) -> None:
+        """Begin with a first keyframe, which defines where the local map lies."""
+        self._edges = [_on_map(node, T_local_base, _FIRMLY)]
+
+    def add(self, odometry: GraphEdge, T_local_base: FloatArray, match_information: FloatArray) -> None:
+        """Add a keyframe: its odometry factor, its pose in the local map and what its match tells of that.
+
+        The information (3, 3) is zero where there was no match.
+        """
+        self._edges += [odometry, _on_map(odometry.to_node, T_local_base, match_information + _BARELY)]
+
+    def relative_to(self, anchor: int) -> FloatArray:
+        """Move on to a new anchor and forget what lies before it.
+
+        Returns
+        -------
+        (k, 3, 3) array
+            Marginal covariances of the anchor and all later keyframes relative to the anchor, right perturbation (body
+            frames): of the linearised graph of these factors, with the anchor held.
+        """
+        self._edges = [
+            e for e in self._edges if e.to_node >= anchor and (e.from_node == MAP or e.from_node >= anchor)
+        ]
+        nodes = [MAP, *sorted({edge.to_node for edge in self._edges} - {anchor})]
+        place = {node: 3 * k for k, node in enumerate(nodes)}
+        adjoints = se2.adjoint(se2.inverse(np.array([edge.T_from_to for edge in self._edges])))
+        information = np.zeros((3 * len(nodes), 3 * len(nodes)))
+        for edge, adjoint in zip(self._edges, adjoints, strict=True):
+            jacobians = {edge.from_node: -adjoint, edge.to_node: np.eye(3)}
+            for a, J_a in jacobians.items():
+                for b, J_b in jacobians.items():
+                    if anchor not in (a, b):
+                        block = np.s_[place[a] : place[a] + 3, place[b] : place[b] + 3]
+                        information[block] += J_a.T @ edge.information @ J_b
+        cov = np.asarray(np.linalg.inv(information), dtype=np.float64).reshape(len(nodes), 3, len(nodes), 3)
+        of_keyframes: FloatArray = cov[np.arange(1, len(nodes)), :, np.arange(1, len(nodes)), :]
+        of_keyframes = np.concatenate([np.zeros((1, 3, 3)), of_keyframes])
+        return np.asarray(0.5 * (of_keyframes + np.swapaxes(of_keyframes, -1, -2)), dtype=np.float64)
+
+
+def _on_map(node: int, T_local_base: FloatArray, information: FloatArray) -> GraphEdge:
+    return GraphEdge(
+        kind="match", from_node=MAP, to_node=node, T_from_to=T_local_base, information=information
+    )
