@@ -120,7 +120,7 @@ class KissIcpPipeline:
             cov_anchor_base=cov,
             is_valid=is_valid,
             is_moving=detection.is_moving,
-            p_moving=detection.p_moving,
+            p_moving=np.where(is_valid, 0.0, np.nan),
             reason=detection.reason,
             packed_cov=detection.packed_cov,
             local_yaw=0.0,

@@ -30,6 +30,7 @@ from slammot_graph.motion import (
     TrackConfig,
     Tracker,
     detect_moving,
+    probability_of_moving,
     reasons,
 )
 from slammot_graph.motion.hindsight import Judged, judge_in_hindsight
@@ -200,6 +201,8 @@ class Pipeline:
                 with watch.stage("detect"):
                     detection = self._judge(scan, is_valid, predicted, detection, matched, match)
         is_static = is_valid & ~detection.is_moving
+        with watch.stage("detect"):
+            p_moving = self._probability(scan, detection, matched)
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)
         if self.localizer.n_times_lost > self._n_times_lost:
@@ -222,7 +225,7 @@ class Pipeline:
             cov_anchor_base=matched.cov_relative,
             is_valid=is_valid,
             is_moving=detection.is_moving,
-            p_moving=detection.p_moving,
+            p_moving=p_moving,
             reason=detection.reason,
             packed_cov=detection.packed_cov,
             local_yaw=float(T_map_local[2]),
@@ -317,6 +320,11 @@ class Pipeline:
             self.afterimage.emptied(scan, estimate.T_local_base, is_valid),
             self.config.afterimage.reach_m,
         )
+
+    def _probability(self, scan: Scan, detection: Detection, matched: Estimate) -> FloatArray:
+        """How probable it is that each beam hit something that moves."""
+        points, expected = scan.points(matched.T_local_base), self.tracker.expected(scan.stamp)
+        return probability_of_moving(detection, points, scan.ranges, self.grid, expected)
 
     def _remember(
         self,

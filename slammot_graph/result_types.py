@@ -30,6 +30,8 @@ class MatchResult:
         Its inverse, zero in the directions that the match says nothing about.
     graph_information : (3, 3) array
         The same for a pose graph, which takes the errors of its factors for independent: cautious.
+    hessian_information : (3, 3) array
+        What the match's normal equations alone claim, all residuals taken for independent: far too much.
     cov_common : (3, 3) array
         The part of `cov` that the matches of the next scans share (the same lines of the same local map).
     n_iterations, n_correspondences : int
@@ -52,6 +54,7 @@ class MatchResult:
     cov: FloatArray
     information: FloatArray
     graph_information: FloatArray
+    hessian_information: FloatArray
     cov_common: FloatArray
     n_iterations: int
     n_correspondences: int

@@ -349,7 +349,7 @@ def residual_scatter(
     line if their normals differ by less than 0.3 rad and the later one's map point is within `max_gap` [m] of the
     line through the earlier one's. `inherited` is what the keyframes' own errors bring in: keyframe number
     ``owner[map point]`` lies at ``keyframes`` (k, 3) with an error of covariance ``root root'``, `roots` (k, 3, 3) in
-    its body frame; the errors of different keyframes are taken as fully correlated.
+    its body frame; the errors of different keyframes are taken as fully correlated, in the local frame's axes.
     """
     mask = nearest.shape[0] - 1
     capacity = map_points.shape[0]
@@ -430,6 +430,7 @@ def residual_scatter(
             white[j, i] = white[i, j]
     root = np.zeros((3, 3))
     adjoint = np.eye(3)
+    axes = np.eye(3)
     for k in range(keyframes.shape[0]):
         for i in range(3):
             for j in range(i):
@@ -442,7 +443,11 @@ def residual_scatter(
         adjoint[0, 1] = -adjoint[1, 0]
         adjoint[0, 2] = -s * dx + c * dy
         adjoint[1, 2] = -c * dx - s * dy
-        root += by_keyframe[k] @ adjoint @ roots[k]
+        # the same error for all keyframes means the same in the local frame's axes, however each was turned
+        axes[0, 0] = axes[1, 1] = math.cos(keyframes[k, 2])
+        axes[0, 1] = math.sin(keyframes[k, 2])
+        axes[1, 0] = -axes[0, 1]
+        root += by_keyframe[k] @ adjoint @ roots[k] @ axes
     inherited[:] = root @ root.T
 
 

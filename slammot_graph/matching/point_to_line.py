@@ -239,7 +239,7 @@ def _judge(
         reason = f"only {100 * solution.inlier_ratio:.0f}% of the points agree with the local map"
     if reason:
         status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_own_predicted, np.nan
-        information, graph_information, cov_common = np.zeros((3, 3, 3))
+        information, graph_information, gain_information, cov_common = np.zeros((4, 3, 3))
         innovation = np.zeros(3)
     else:
         T, T_free, cov = solution.T, np.empty(3), np.empty((3, 3))
@@ -312,6 +312,7 @@ def _judge(
         cov=_invert(information),
         information=information,
         graph_information=graph_information,
+        hessian_information=gain_information,
         cov_common=cov_common,
         nis=nis,
         n_iterations=solution.iterations,

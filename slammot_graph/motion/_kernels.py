@@ -281,3 +281,63 @@ def discard_clusters(
             and box[c, 1] - box[c, 0] <= max_x_range
             and box[c, 3] - box[c, 2] <= max_y_range
         )
+
+
+@kernel
+def cluster_evidence(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    inv_resolution: float,
+    oldest: int,
+    l_min: float,
+    points: FloatArray,
+    ranges: FloatArray,
+    cluster: IntArray,
+    reason: IntArray,
+    expected: FloatArray,
+    max_range: float,
+    out: FloatArray,
+) -> None:
+    """Fill `out` (n_clusters, 8) with what speaks for each cluster; see `probability.NAMES`."""
+    n_clusters = out.shape[0]
+    sums = np.zeros((n_clusters, 6))  # points, ranges, on free cells, log odds, x, y
+    box = np.empty((n_clusters, 4))
+    for k in range(cluster.shape[0]):
+        c = cluster[k]
+        if c < 0:
+            continue
+        x = points[k, 0]
+        y = points[k, 1]
+        i = (math.floor(y * inv_resolution) - row0) & (log_odds.shape[0] - 1)
+        j = (math.floor(x * inv_resolution) - col0) & (log_odds.shape[1] - 1)
+        if sums[c, 0] == 0.0:
+            box[c, 0] = box[c, 1] = x
+            box[c, 2] = box[c, 3] = y
+        box[c, 0] = min(box[c, 0], x)
+        box[c, 1] = max(box[c, 1], x)
+        box[c, 2] = min(box[c, 2], y)
+        box[c, 3] = max(box[c, 3], y)
+        sums[c, 0] += 1.0
+        sums[c, 1] += ranges[k]
+        sums[c, 2] += 1.0 if reason[k] == FREE else 0.0
+        sums[c, 3] += log_odds[i, j] if stamp[i, j] >= oldest else 0.0
+        sums[c, 4] += x
+        sums[c, 5] += y
+    for c in range(n_clusters):
+        n = sums[c, 0]
+        width = math.sqrt((box[c, 1] - box[c, 0]) ** 2 + (box[c, 3] - box[c, 2]) ** 2)
+        nearest2 = np.inf
+        for m in range(expected.shape[0]):
+            dx = expected[m, 0] - sums[c, 4] / n
+            dy = expected[m, 1] - sums[c, 5] / n
+            nearest2 = min(nearest2, dx * dx + dy * dy)
+        out[c, 0] = 1.0
+        out[c, 1] = math.log(n)
+        out[c, 2] = min(sums[c, 1] / n, max_range)
+        out[c, 3] = 1.0 - sums[c, 2] / n
+        out[c, 4] = 1.0 if sums[c, 2] == 0.0 else 0.0
+        out[c, 5] = max(sums[c, 3] / n - l_min, 0.0)
+        out[c, 6] = math.log(1.0 + width)
+        out[c, 7] = 1.0 if nearest2 < 0.36 else 0.0

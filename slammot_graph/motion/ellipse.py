@@ -4,12 +4,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slammot_graph import se2
 from slammot_graph.errors import ConfigError
 from slammot_graph.grid import OccupancyGrid
 from slammot_graph.motion import _kernels, reasons
 from slammot_graph.motion.clusters import ClusterConfig, find_clusters
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
+
+CONSENSUS = 0.8
+"""Share of the sigma points' weight at which a beam must be on free cells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +38,9 @@ class MotionConfig:
         just like that, and removing everything would lock the error in.
     stand_back_nis : float
         None is called moving either after a match whose normalised innovation squared is above this.
+    is_common_mode : bool
+        Treat the pose's error as common to the scan: test at its sigma points and take their consensus. Several times
+        the work; with a matched pose it decides as the ellipse does.
     """
 
     range_std_m: float = 0.01
@@ -44,6 +51,7 @@ class MotionConfig:
     track_reach_m: float = 0.4
     stand_back_share: float = 0.75
     stand_back_nis: float = 50.0
+    is_common_mode: bool = False
 
     def __post_init__(self) -> None:
         if not (self.range_std_m > 0.0 and self.angle_std_rad > 0.0):
@@ -69,8 +77,6 @@ class Detection:
     Attributes
     ----------
     is_moving : (n,) bool array
-    p_moving : (n,) array
-        The label as 0 or 1; NaN for a beam without a valid return.
     reason : (n,) int array
         Index into `motion.REASONS`.
     cluster : (n,) int array
@@ -81,7 +87,6 @@ class Detection:
     """
 
     is_moving: BoolArray
-    p_moving: FloatArray
     reason: IntArray
     cluster: IntArray
     n_clusters: int
@@ -104,7 +109,6 @@ class Detection:
         n = len(is_valid)
         return cls(
             is_moving=np.zeros(n, dtype=np.bool_),
-            p_moving=np.where(is_valid, 0.0, np.nan),
             reason=np.where(is_valid, reasons.NOT_TESTED, reasons.NOT_VALID),
             cluster=np.full(n, -1),
             n_clusters=0,
@@ -116,7 +120,6 @@ class Detection:
         return replace(
             self,
             is_moving=np.zeros_like(self.is_moving),
-            p_moving=np.where(np.isnan(self.p_moving), np.nan, 0.0),
             reason=np.where(self.is_moving, reasons.STOOD_BACK, self.reason),
             cluster=np.full_like(self.cluster, -1),
             n_clusters=0,
@@ -200,7 +203,41 @@ def detect_moving(
     n = len(scan.ranges)
     points = scan.points(T_a_base)
     packed = _packed_covariances(scan, T_a_base, cov_pose, config)
-    reason = np.empty(n, dtype=np.int64)
+    if config.is_common_mode:
+        reason = _test_at_sigma_points(scan, is_valid, T_a_base, cov_pose, grid, config)
+    else:
+        reason = _test(points, packed, is_valid, grid, config)
+    is_free = reason == reasons.FREE
+    cluster, n_clusters = find_clusters(points, is_free, clusters)
+    is_moving = cluster >= 0
+    reason[is_free & ~is_moving] = reasons.DISCARDED
+    for places, reach_m, why, groups in (
+        (emptied, emptied_reach_m, reasons.EMPTIED, clusters),
+        (expected, config.track_reach_m, reasons.TRACKED, replace(clusters, min_points=1)),
+    ):
+        is_near = _is_near(points, reason, places, reach_m)
+        if is_near is not None:
+            reason[is_near] = why
+            cluster, n_clusters = find_clusters(points, is_moving | is_near, groups)
+            is_moving = cluster >= 0
+            reason[is_near & ~is_moving] = reasons.DISCARDED
+    detection = Detection(
+        is_moving=is_moving,
+        reason=reason,
+        cluster=cluster,
+        n_clusters=n_clusters,
+        packed_cov=packed,
+    )
+    if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
+        return detection.stand_back()
+    return detection
+
+
+def _test(
+    points: FloatArray, packed: FloatArray, is_valid: BoolArray, grid: OccupancyGrid, config: MotionConfig
+) -> IntArray:
+    """(n,) reasons: what the cells under each ellipse say."""
+    reason = np.empty(len(points), dtype=np.int64)
     _kernels.ellipse_test(
         grid.log_odds,
         grid.stamp,
@@ -219,31 +256,34 @@ def detect_moving(
         config.margin_cells,
         reason,
     )
-    is_free = reason == reasons.FREE
-    cluster, n_clusters = find_clusters(points, is_free, clusters)
-    is_moving = cluster >= 0
-    reason[is_free & ~is_moving] = reasons.DISCARDED
-    for places, reach_m, why, groups in (
-        (emptied, emptied_reach_m, reasons.EMPTIED, clusters),
-        (expected, config.track_reach_m, reasons.TRACKED, replace(clusters, min_points=1)),
-    ):
-        is_near = _is_near(points, reason, places, reach_m)
-        if is_near is not None:
-            reason[is_near] = why
-            cluster, n_clusters = find_clusters(points, is_moving | is_near, groups)
-            is_moving = cluster >= 0
-            reason[is_near & ~is_moving] = reasons.DISCARDED
-    detection = Detection(
-        is_moving=is_moving,
-        p_moving=np.where(is_valid, is_moving, np.nan),
-        reason=reason,
-        cluster=cluster,
-        n_clusters=n_clusters,
-        packed_cov=packed,
-    )
-    if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
-        return detection.stand_back()
-    return detection
+    return reason
+
+
+def _test_at_sigma_points(
+    scan: Scan,
+    is_valid: BoolArray,
+    T_a_base: FloatArray,
+    cov_pose: FloatArray,
+    grid: OccupancyGrid,
+    config: MotionConfig,
+) -> IntArray:
+    """(n,) reasons where the pose's error is common to the whole scan: by consensus over its sigma points.
+
+    Each sigma point is a pose at which the test is made with the beams' own noise alone. It weighs the more the more
+    beams end on occupied cells there; a beam is on free cells if it is so at most of the weight.
+    """
+    offsets = np.sqrt(3.0) * np.linalg.cholesky(cov_pose).T
+    poses = se2.compose(T_a_base[None, :], se2.exp(np.vstack([np.zeros((1, 3)), offsets, -offsets])))
+    found = []
+    for T in poses:
+        own = _packed_covariances(scan, T, np.zeros((3, 3)), config)
+        found.append(_test(scan.points(T), own, is_valid, grid, config))
+    reason_at = np.array(found)
+    n_hits = np.count_nonzero(reason_at == reasons.OCCUPIED, axis=1)
+    weights = np.exp((n_hits - n_hits.max()) / max(0.02 * np.count_nonzero(is_valid), 1.0))
+    is_free = (weights @ (reason_at == reasons.FREE)) > CONSENSUS * weights.sum()
+    best = reason_at[np.argmax(n_hits)]
+    return np.where(is_free, reasons.FREE, np.where(best == reasons.FREE, reasons.UNKNOWN, best))
 
 
 def _is_near(

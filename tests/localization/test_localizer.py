@@ -13,6 +13,7 @@ def match_of(information: FloatArray) -> MatchResult:
         cov=np.eye(3),
         information=information,
         graph_information=information,
+        hessian_information=information,
         cov_common=np.zeros((3, 3)),
         n_iterations=1,
         n_correspondences=1,
