@@ -254,6 +254,14 @@ class RunResult:
         "step" is the whole.
     nis : (n,) array
         Normalised innovation squared per scan, NaN where there was no match.
+    anchor_scans : (n,) int array
+        The scan that each scan's local map hung on; -1 where there was none.
+    T_anchor_base : (n, 3) array
+        Each scan's pose relative to that scan's, as matched at the time.
+    cov_anchor_base : (n, 3, 3) array
+        Its covariance, right perturbation (body frame).
+    T_world_base : (n, 3) array or None
+        True poses, where the log knows them.
     n_failed_matches : int
     n_skipped : int
     events : tuple of (scan index, text)
@@ -278,6 +286,10 @@ class RunResult:
     edges: tuple[GraphEdge, ...]
     stage_ms: Mapping[str, FloatArray]
     nis: FloatArray
+    anchor_scans: IntArray
+    T_anchor_base: FloatArray
+    cov_anchor_base: FloatArray
+    T_world_base: FloatArray | None
     n_failed_matches: int
     n_skipped: int
     events: tuple[tuple[int, str], ...] = field(default=())

@@ -9,7 +9,7 @@ import platform
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slammot_graph.errors import InputError
+from slammot_graph.evaluation import run_consistency
 from slammot_graph.evaluation.trajectories import read_trajectory
 from slammot_graph.result_types import GraphEdge, GridMap, RunResult
 from slammot_graph.types import BoolArray, FloatArray
@@ -268,6 +269,7 @@ def _summary(result: RunResult, log: str | Path | None) -> dict[str, Any]:
         "path_length_m": float(steps_m.sum()),
         "moving_share": n_moving / n_valid if n_valid else None,
         "nis": _figures(result.nis, with_mean=True),
+        "consistency": asdict(run_consistency(result)),
         "stages_ms": {stage: _figures(took) for stage, took in result.stage_ms.items()},
         "scans_per_s": 1e3 * len(step_ms) / float(step_ms.sum()) if step_ms.sum() > 0.0 else None,
         "peak_memory_mb": _peak_memory_mb(),

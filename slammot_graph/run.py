@@ -136,6 +136,10 @@ class Run:
                 name: np.array([stages.get(name, 0.0) for stages in kept.stage_ms]) for name in stage_names
             },
             nis=np.array(kept.nis),
+            anchor_scans=np.array(kept.anchor_scans, dtype=np.int64),
+            T_anchor_base=np.array(kept.T_anchor_base).reshape(-1, 3),
+            cov_anchor_base=np.array(kept.cov_anchor_base).reshape(-1, 3, 3),
+            T_world_base=np.array(kept.T_world_base) if n and len(kept.T_world_base) == n else None,
             n_failed_matches=kept.n_failed,
             n_skipped=len(self.log.skipped),
             events=tuple(kept.events),
@@ -155,6 +159,10 @@ class _Kept:
         self.tracks: list[list[float]] = []
         self.stage_ms: list[dict[str, float]] = []
         self.nis: list[float] = []
+        self.anchor_scans: list[int] = []
+        self.T_anchor_base: list[FloatArray] = []
+        self.cov_anchor_base: list[FloatArray] = []
+        self.T_world_base: list[FloatArray] = []
         self.n_failed = 0
         self.events: list[tuple[int, str]] = []
 
@@ -166,6 +174,11 @@ class _Kept:
         self.p_moving.append(step.p_moving.astype(np.float16))
         self.stage_ms.append(dict(step.stage_ms))
         self.nis.append(step.innovation_nis)
+        self.anchor_scans.append(step.anchor_scan)
+        self.T_anchor_base.append(step.T_anchor_base)
+        self.cov_anchor_base.append(step.cov_anchor_base)
+        if step.scan.truth is not None and step.scan.truth.T_world_base is not None:
+            self.T_world_base.append(step.scan.truth.T_world_base)
         self.n_failed += step.match is not None and step.match.status == "failed"
         self.events += [(step.scan.index, text) for text in step.events]
         for track in step.tracks:

@@ -225,6 +225,9 @@ def _run_table(outcome: _Outcome) -> Table:
     table.add_row("failed matches", str(result.n_failed_matches))
     table.add_row("nodes", str(len(result.nodes)))
     table.add_row("loop closures", str(sum(edge.kind == "closure" for edge in result.edges)))
+    if np.isfinite(result.nis).any():
+        nis = f"{np.nanmean(result.nis):.2f} (3 if the covariances are honest, more if the odometry is worse)"
+        table.add_row("mean NIS", nis)
     if step_ms.size:
         median, p95 = np.percentile(step_ms, [50, 95])
         table.add_row("ms per scan", f"{median:.2f} median, {p95:.2f} p95")

@@ -6,10 +6,12 @@ One convention for empty sets everywhere: a figure over nothing is NaN and its c
 from slammot_graph.evaluation.consistency import (
     AverageNees,
     Coverage,
+    RunConsistency,
     average_nees,
     ellipse_coverage,
     nees,
     pose_errors,
+    run_consistency,
 )
 from slammot_graph.evaluation.maps import MapScores, evaluate_map
 from slammot_graph.evaluation.points import (
@@ -48,6 +50,7 @@ __all__ = [
     "RelationScores",
     "Relations",
     "RelativeError",
+    "RunConsistency",
     "TrackPoints",
     "TrackScores",
     "absolute_error",
@@ -67,6 +70,7 @@ __all__ = [
     "read_relations",
     "read_trajectory",
     "relative_error",
+    "run_consistency",
     "strata",
     "summarize",
 ]

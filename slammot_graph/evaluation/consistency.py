@@ -9,6 +9,7 @@ from scipy.special import gammaincinv
 from slammot_graph import se2
 from slammot_graph.errors import InputError
 from slammot_graph.evaluation.stats import ratio
+from slammot_graph.result_types import RunResult
 from slammot_graph.types import FloatArray
 
 _SIGMAS_95 = 1.959963984540054
@@ -161,6 +162,63 @@ def ellipse_coverage(errors: FloatArray, cov: FloatArray, *, probability: float 
     centre = ratio(n_inside + z2 / 2.0, n + z2) if n else math.nan
     half = _SIGMAS_95 * math.sqrt(share * (1.0 - share) * n + z2 / 4.0) / (n + z2) if n else math.nan
     return Coverage(n=n, share=share, lower=centre - half, upper=centre + half, probability=probability)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConsistency:
+    """How honest the covariances of one run are; its scans depend on each other, so it has no bounds.
+
+    Attributes
+    ----------
+    nis_mean : float
+        Mean normalised innovation squared, 3 if prediction and match are honest; NaN without matches. Above: the
+        odometry or the matches are worse than their covariances say.
+    nis_above_95 : float
+        Share of the innovations beyond the 95% bound, 5% if honest.
+    relative_nees, relative_covered : float
+        Mean NEES (3 if honest) of the poses relative to their local map's anchor, and the share within their 95%
+        ellipsoid; NaN where the truth is not known.
+    map_nees, map_covered : float
+        The same of the optimised poses in the map, which begins at the true start.
+    """
+
+    nis_mean: float
+    nis_above_95: float
+    relative_nees: float
+    relative_covered: float
+    map_nees: float
+    map_covered: float
+
+
+def run_consistency(result: RunResult) -> RunConsistency:
+    """Judge a run's covariances: by its innovations, and by the truth where the log knows it."""
+    nis = result.nis[np.isfinite(result.nis)]
+    relative = in_map = (math.nan, math.nan)
+    if result.T_world_base is not None:
+        truth, anchors = result.T_world_base, result.anchor_scans
+        is_judged = (anchors >= 0) & (anchors < len(truth)) & (anchors != np.arange(len(truth)))
+        from_anchor = se2.between(truth[anchors[is_judged]], truth[is_judged])
+        errors = pose_errors(result.T_anchor_base[is_judged], from_anchor)
+        relative = _nees_and_coverage(errors, result.cov_anchor_base[is_judged])
+        T_map_world = se2.compose(result.T_map_base[0], se2.inverse(truth[0]))
+        errors = pose_errors(result.T_map_base[1:], se2.compose(T_map_world[None, :], truth[1:]))
+        in_map = _nees_and_coverage(errors, result.cov_map[1:])
+    return RunConsistency(
+        nis_mean=float(nis.mean()) if nis.size else math.nan,
+        nis_above_95=float((nis > chi2_quantile(0.95, 3)).mean()) if nis.size else math.nan,
+        relative_nees=relative[0],
+        relative_covered=relative[1],
+        map_nees=in_map[0],
+        map_covered=in_map[1],
+    )
+
+
+def _nees_and_coverage(errors: FloatArray, cov: FloatArray) -> tuple[float, float]:
+    values = nees(errors, cov)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return math.nan, math.nan
+    return float(values.mean()), float((values <= chi2_quantile(0.95, errors.shape[1])).mean())
 
 
 def chi2_quantile(probability: float, dof: float) -> float:

@@ -200,7 +200,6 @@ def detect_moving(
     emptied_reach_m : float
         Beams on unknown cells move if they end this near to such a place.
     """
-    n = len(scan.ranges)
     points = scan.points(T_a_base)
     packed = _packed_covariances(scan, T_a_base, cov_pose, config)
     if config.is_common_mode:

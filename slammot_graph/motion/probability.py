@@ -37,8 +37,8 @@ SHARE_OF_STATIC = {
     reasons.STOOD_BACK: 0.4,
     reasons.NOT_TESTED: 0.0,
 }
-"""Share of moving beams among those that were called static, by reason; by the same command (of DISCARDED less, since crowds
-dominate it)."""
+"""Share of moving beams among those that were called static, by reason; by the same command (less for
+DISCARDED, which crowds dominate there)."""
 
 
 def cluster_evidence(

@@ -1,13 +1,16 @@
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slammot_graph import se2
+from slammot_graph import Run, se2
 from slammot_graph.errors import InputError
-from slammot_graph.evaluation import average_nees, ellipse_coverage, nees, pose_errors
+from slammot_graph.evaluation import average_nees, ellipse_coverage, nees, pose_errors, run_consistency
 from slammot_graph.evaluation.consistency import chi2_quantile
+from slammot_graph.linalg import mahalanobis2
+from slammot_graph.simulation import simulate
 
 COV = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, -0.002], [0.0, -0.002, 0.001]])
 
@@ -67,3 +70,31 @@ def test_nothing_is_nan() -> None:
 def test_shapes_must_agree() -> None:
     with pytest.raises(InputError, match="do not fit"):
         nees(np.zeros((2, 3)), np.zeros((2, 2, 2)))
+
+
+def test_a_run_is_judged_by_the_truth_that_its_log_knows() -> None:
+    log = simulate("two-walkers", seed=3)
+    run = Run(log, "graph")
+    steps = list(run)
+    found = run_consistency(run.result())
+    anchored = [step for step in steps if step.anchor_scan not in (-1, step.scan.index)]
+    values = [
+        mahalanobis2(
+            se2.log(
+                se2.between(
+                    step.T_anchor_base,
+                    se2.between(log.T_world_base[step.anchor_scan], log.T_world_base[step.scan.index]),
+                )
+            ),
+            step.cov_anchor_base,
+        )
+        for step in anchored
+    ]
+    assert found.relative_nees == pytest.approx(np.mean(values), rel=1e-6)
+    assert found.relative_covered == pytest.approx(np.mean(np.array(values) < 7.8147), abs=1e-3)
+    assert 0.5 < found.relative_nees < 8.0
+    assert 0.0 < found.nis_mean < 6.0
+    assert 0.0 <= found.map_covered <= 1.0
+    recorded = dataclasses.replace(run.result(), T_world_base=None)
+    assert math.isnan(run_consistency(recorded).relative_nees)
+    assert run_consistency(recorded).nis_mean == found.nis_mean
