@@ -8,7 +8,13 @@ import numpy as np
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, median_interval, number, write_tables
 from slammot_graph import Run, se2
-from slammot_graph.evaluation.consistency import average_nees, chi2_quantile, nees, pose_errors
+from slammot_graph.evaluation.consistency import (
+    average_nees,
+    chi2_quantile,
+    nees,
+    pose_errors,
+    run_consistency,
+)
 from slammot_graph.graph.odometry_noise import ConstantNoise
 from slammot_graph.simulation import simulate
 from slammot_graph.types import FloatArray
@@ -31,30 +37,27 @@ def cell(scenario: str, rate_hz: float | None, seed: int) -> Scores:
     """Mean NEES and coverage of one run, by covariance; NIS of its matches."""
     log = simulate(scenario, seed=seed, rate_hz=rate_hz)
     run = Run(log, "graph")
-    anchors, T_anchor_base, cov_relative, hessian, nis = [], [], [], [], []
+    hessian = []
     for step in run:
-        anchors.append(step.anchor_scan)
-        T_anchor_base.append(step.T_anchor_base)
-        cov_relative.append(step.cov_anchor_base)
         information = np.zeros((3, 3)) if step.match is None else step.match.hessian_information
         hessian.append(np.linalg.inv(information + 1e-6 * np.eye(3)))
-        nis.append(step.innovation_nis)
     result = run.result()
-    truth = log.T_world_base[: len(anchors)]
-    errors = pose_errors(np.array(T_anchor_base), se2.between(truth[np.array(anchors)], truth))
-    start = se2.compose(result.T_map_base[0], se2.inverse(truth[0]))
-    in_map = pose_errors(result.T_map_base, se2.compose(start[None, :], truth))
+    found = run_consistency(result)
+    anchors = result.anchor_scans
+    is_judged = (anchors >= 0) & (anchors != np.arange(len(anchors)))
+    truth = log.T_world_base
+    from_anchor = se2.between(truth[anchors[is_judged]], truth[is_judged])
+    errors = pose_errors(result.T_anchor_base[is_judged], from_anchor)
     constant = np.tile(ConstantNoise().covariance(se2.IDENTITY), (len(errors), 1, 1))
-    is_judged = np.array(anchors) != np.arange(len(anchors))
-    scores: Scores = {"nis": float(np.nanmean(nis))}
-    for name, of_errors, cov in (
-        ("relative", errors, np.array(cov_relative)),
-        ("hessian", errors, np.array(hessian)),
-        ("constant", errors, constant),
-        ("absolute", in_map, result.cov_map),
-    ):
-        scores |= _judge(name, of_errors[is_judged], cov[is_judged])
-    return scores
+    return {
+        "nis": found.nis_mean,
+        "relative nees": found.relative_nees,
+        "relative covered": found.relative_covered,
+        "absolute nees": found.map_nees,
+        "absolute covered": found.map_covered,
+        **_judge("hessian", errors, np.array(hessian)[is_judged]),
+        **_judge("constant", errors, constant),
+    }
 
 
 def _judge(name: str, errors: FloatArray, cov: FloatArray) -> Scores:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import tyro
 
+from slammot_graph.cli.calibrating import calibrate_command
 from slammot_graph.cli.console import EXIT_INTERRUPTED, EXIT_USER_ERROR, complain, stderr
 from slammot_graph.cli.judging import compare_command, evaluate_command
 from slammot_graph.cli.logs import inject_command, simulate_command
@@ -43,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "evaluate": evaluate_command,
                 "methods": methods_command,
                 "config": config_command,
+                "calibrate": calibrate_command,
                 "simulate": simulate_command,
                 "inject": inject_command,
                 "demo": demo_command,

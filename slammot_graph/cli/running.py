@@ -137,6 +137,7 @@ def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> 
     from slammot_graph.results import prepare_output, write_run_folder
 
     prepare_output(output, overwrite=overwrite)
+    _announce_compilation()
     failure: Exception | None = None
     n_scans = 0
     with (
@@ -168,6 +169,17 @@ def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> 
     if failure is not None:
         raise failure
     return _Outcome(result=result, log=run.log, output=output, was_interrupted=is_interrupted())
+
+
+def _announce_compilation() -> None:
+    """Say why the first scan takes its time where the machine code is not there yet."""
+    from slammot_graph._numba import is_compiled
+    from slammot_graph.matching._kernels import match_point_to_line
+
+    if not is_compiled(match_point_to_line):
+        stderr().print(
+            "compiling the kernels, once: the first scans take about half a minute", soft_wrap=True
+        )
 
 
 def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:

@@ -673,7 +673,7 @@ def judge_match(
     There the covariance has three parts: `cov_own` of the beams' own noise, ``noise_std^2 inv(h) white inv(h)``
     (Censi), `cov_common` of what the beams of one line and all beams have in common, and `cov_map` of the map's
     keyframes and of directions that few pairs determine.
-    `information` gets the inverse of the first two together, `graph_information` the cautious
+    `information` gets the inverse of all but what the keyframes bring, `graph_information` the cautious
     ``1 / (residual_std^2 / eigenvalue + floor_std^2)`` of each direction, `gain_information` the same without floor.
     """
     total = 0.0

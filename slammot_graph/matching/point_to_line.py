@@ -57,7 +57,7 @@ class PointToLineConfig:
 
     residual_std_m: float = 0.03
     floor_std_m: float = 0.004
-    noise_std_m: float = 0.017
+    noise_std_m: float = 0.018
     line_std_m: float = 0.003
     line_gap_m: float = 0.1
     common_std_m: float = 0.001
