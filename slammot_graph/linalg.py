@@ -43,6 +43,56 @@ def invert3(a: FloatArray, out: FloatArray) -> bool:
     return True
 
 
+@kernel
+def eigh3(a: FloatArray, values: FloatArray, vectors: FloatArray) -> None:
+    """Fill `values` (3,), in no order, and `vectors`, in columns, of the symmetric matrix `a`, both (3, 3).
+
+    Jacobi's method, which finds small eigenvalues of a scaled diagonal as well as large ones.
+    """
+    w = a.copy()
+    vectors[:] = 0.0
+    for i in range(3):
+        vectors[i, i] = 1.0
+    for _ in range(30):
+        off = w[0, 1] * w[0, 1] + w[0, 2] * w[0, 2] + w[1, 2] * w[1, 2]
+        if not off > 1e-32 * (w[0, 0] * w[0, 0] + w[1, 1] * w[1, 1] + w[2, 2] * w[2, 2]):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if w[p, q] == 0.0:
+                    continue
+                half = 0.5 * (w[q, q] - w[p, p]) / w[p, q]
+                t = math.copysign(1.0, half) / (abs(half) + math.sqrt(half * half + 1.0))
+                c = 1.0 / math.sqrt(t * t + 1.0)
+                s = t * c
+                r = 3 - p - q
+                w[p, p] -= t * w[p, q]
+                w[q, q] += t * w[p, q]
+                w[p, q] = w[q, p] = 0.0
+                low = w[p, r]
+                high = w[q, r]
+                w[p, r] = w[r, p] = c * low - s * high
+                w[q, r] = w[r, q] = s * low + c * high
+                for i in range(3):
+                    low = vectors[i, p]
+                    high = vectors[i, q]
+                    vectors[i, p] = c * low - s * high
+                    vectors[i, q] = s * low + c * high
+    for i in range(3):
+        values[i] = w[i, i]
+
+
+@kernel
+def sandwich3(a: FloatArray, m: FloatArray, out: FloatArray) -> None:
+    """Fill `out` with ``a m a'``, all (3, 3); `out` is none of the others."""
+    for i in range(3):
+        am0 = a[i, 0] * m[0, 0] + a[i, 1] * m[1, 0] + a[i, 2] * m[2, 0]
+        am1 = a[i, 0] * m[0, 1] + a[i, 1] * m[1, 1] + a[i, 2] * m[2, 1]
+        am2 = a[i, 0] * m[0, 2] + a[i, 1] * m[1, 2] + a[i, 2] * m[2, 2]
+        for j in range(3):
+            out[i, j] = am0 * a[j, 0] + am1 * a[j, 1] + am2 * a[j, 2]
+
+
 def is_covariance(matrix: FloatArray) -> bool:
     """Tell whether an (n, n) matrix is finite, symmetric and positive definite."""
     if not np.isfinite(matrix).all() or np.abs(matrix - matrix.T).max() > 1e-6 * np.abs(matrix).max() + 1e-12:

@@ -191,7 +191,7 @@ class Pipeline:
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
                 detection = self._judge(scan, is_valid, predicted, detection, matched, match)
-            share = detection.is_moving.sum() / max(int(is_valid.sum()), 1)
+            share = np.count_nonzero(detection.is_moving) / max(int(np.count_nonzero(is_valid)), 1)
             if share > self.config.crowd_share:
                 with watch.stage("match"):
                     factor = max((1.0 - share) ** 2, LEAST_KERNEL_FACTOR)
@@ -420,10 +420,10 @@ def _beams(
     A beam without a return ends `free_no_return_m` away; with 0 it tells nothing.
     """
     is_beam = is_valid
-    if free_no_return_m > 0.0:
-        is_missing = scan.is_no_return(MIN_NO_RETURN_RUN)
+    is_missing = scan.is_no_return(MIN_NO_RETURN_RUN) if free_no_return_m > 0.0 else is_valid
+    if free_no_return_m > 0.0 and is_missing.any():
         reach_m = min(free_no_return_m, scan.laser.range_max)
         far = scan.laser.origin_base + reach_m * scan.laser.directions_base
         points_base = np.where(is_missing[:, None], far, points_base)
         is_beam = is_valid | is_missing
-    return np.vstack([scan.laser.origin_base, points_base]), is_beam
+    return np.concatenate([scan.laser.origin_base[None], points_base]), is_beam

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from slammot_graph import se2
+from slammot_graph._numba import kernel
 from slammot_graph.errors import ConfigError
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
@@ -112,8 +113,7 @@ class Scan:
     def is_valid(self, max_range: float = np.inf) -> BoolArray:
         """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m]."""
         limit = min(NO_RETURN_FRACTION * self.laser.range_max, max_range)
-        with np.errstate(invalid="ignore"):
-            return (self.ranges > max(self.laser.range_min, 1e-3)) & (self.ranges < limit)
+        return (self.ranges > max(self.laser.range_min, 1e-3)) & (self.ranges < limit)
 
     def is_no_return(self, min_run: int = 1) -> BoolArray:
         """(n_beams,) mask of beams that met nothing in reach, at the laser's maximum or infinite.
@@ -134,11 +134,20 @@ class Scan:
 
     @cached_property
     def _points_base(self) -> FloatArray:
-        ranges = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
-        points = self.laser.origin_base + ranges[:, None] * self.laser.directions_base
+        points = _end_points(self.ranges, self.laser.origin_base, self.laser.directions_base)
         points.setflags(write=False)
         return points
 
     def points(self, T_a_base: FloatArray) -> FloatArray:
         """(n_beams, 2) end points carried into frame a [m] (eq. 2)."""
         return se2.transform(T_a_base, self.points_base())
+
+
+@kernel
+def _end_points(ranges: FloatArray, origin: FloatArray, directions: FloatArray) -> FloatArray:
+    out = np.empty(directions.shape)
+    for k in range(ranges.shape[0]):
+        r = ranges[k] if np.isfinite(ranges[k]) else np.nan
+        out[k, 0] = origin[0] + r * directions[k, 0]
+        out[k, 1] = origin[1] + r * directions[k, 1]
+    return out

@@ -62,6 +62,14 @@ def inverse(T_a_b: FloatArray) -> FloatArray:
 
 def between(T_a_b: FloatArray, T_a_c: FloatArray) -> FloatArray:
     """Relative transform ``T_b_c = inverse(T_a_b) * T_a_c``, all (..., 3)."""
+    if T_a_b.ndim == 1 and T_a_c.ndim == 1:  # the same operations on plain numbers
+        x1, y1, t1 = T_a_b.tolist()
+        bx, by, bt = T_a_c.tolist()
+        c, s = math.cos(t1), math.sin(t1)
+        ax, ay, at = -c * x1 - s * y1, s * x1 - c * y1, (-t1 + math.pi) % (2.0 * math.pi) - math.pi
+        c, s = math.cos(at), math.sin(at)
+        theta = (at + bt + math.pi) % (2.0 * math.pi) - math.pi
+        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, theta])
     return compose(inverse(T_a_b), T_a_c)
 
 
@@ -104,6 +112,12 @@ def exp(tangent: FloatArray) -> FloatArray:
 
 def log(T_a_b: FloatArray) -> FloatArray:
     """Logarithm map (..., 3) -> (..., 3), as ``gtsam.Pose2.Logmap``; theta within (-pi, pi)."""
+    if T_a_b.ndim == 1:
+        x1, y1, t1 = T_a_b.tolist()
+        t1 = (t1 + math.pi) % (2.0 * math.pi) - math.pi
+        h1 = 0.5 * t1
+        a1 = 1.0 - h1 * h1 / 3.0 if abs(t1) < 1e-6 else h1 / math.tan(h1)
+        return np.array([a1 * x1 + h1 * y1, -h1 * x1 + a1 * y1, t1])
     x, y, w = T_a_b[..., 0], T_a_b[..., 1], wrap_angle(T_a_b[..., 2])
     half = 0.5 * w
     small = np.abs(w) < 1e-6

@@ -56,7 +56,7 @@ class OdometryNoise:
         random_rad2 = self.std_rad_per_sqrt_m**2 * way_m + self.std_rad_per_sqrt_rad**2 * turn_rad
         var_m2 = self.still_std_m**2 + random_m2 + (self.ratio_m_per_m * way_m) ** 2
         var_rad2 = self.still_std_rad**2 + random_rad2 + (self.ratio_rad_per_rad * turn_rad) ** 2
-        return np.diag([var_m2, var_m2, var_rad2])
+        return np.array([[var_m2, 0.0, 0.0], [0.0, var_m2, 0.0], [0.0, 0.0, var_rad2]])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -159,8 +159,9 @@ class ScanToMap:
             before.cov_own,
         )
         self._cov_odometry = before.cov_odometry
-        scale_m = kernel_factor * self.config.kernel_scale_m
-        self.matching = replace(self.config, kernel_scale_m=scale_m)
+        self.matching = self.config
+        if kernel_factor != 1.0:
+            self.matching = replace(self.config, kernel_scale_m=kernel_factor * self.config.kernel_scale_m)
         if self.local_map.keyframes:
             match, T_local_base, cov_own = self._match_from(
                 points_base, is_static, self._T_local_base, self._cov_prior, self._cov_own
@@ -351,7 +352,7 @@ class ScanToMap:
             else:
                 self.local_factors.add(odometry, self._T_local_base, np.zeros((3, 3)))
             self.graph.update()
-        self._T_map_node = self.graph.pose(node)
+        self._T_map_node = self.graph.newest_pose()
         self._T_local_node = self._T_local_base
         self._T_odom_node = scan.T_odom_base
         self._cov_odometry = np.zeros((3, 3))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from slammot_graph._numba import kernel
+from slammot_graph.linalg import eigh3, invert3, sandwich3
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 LINE_FIRST_M2 = 0.04
@@ -429,8 +430,8 @@ def residual_scatter(
             common[j, i] = common[i, j]
             white[j, i] = white[i, j]
     root = np.zeros((3, 3))
-    adjoint = np.eye(3)
-    axes = np.eye(3)
+    adjoint = np.zeros((3, 3))
+    adjoint[2, 2] = 1.0
     for k in range(keyframes.shape[0]):
         for i in range(3):
             for j in range(i):
@@ -444,11 +445,23 @@ def residual_scatter(
         adjoint[0, 2] = -s * dx + c * dy
         adjoint[1, 2] = -c * dx - s * dy
         # the same error for all keyframes means the same in the local frame's axes, however each was turned
-        axes[0, 0] = axes[1, 1] = math.cos(keyframes[k, 2])
-        axes[0, 1] = math.sin(keyframes[k, 2])
-        axes[1, 0] = -axes[0, 1]
-        root += by_keyframe[k] @ adjoint @ roots[k] @ axes
-    inherited[:] = root @ root.T
+        c_k = math.cos(keyframes[k, 2])
+        s_k = math.sin(keyframes[k, 2])
+        for i in range(3):
+            r0 = r1 = r2 = 0.0
+            for j in range(3):
+                moved = 0.0
+                for m in range(3):
+                    moved += by_keyframe[k, i, m] * adjoint[m, j]
+                r0 += moved * roots[k, j, 0]
+                r1 += moved * roots[k, j, 1]
+                r2 += moved * roots[k, j, 2]
+            root[i, 0] += c_k * r0 - s_k * r1
+            root[i, 1] += s_k * r0 + c_k * r1
+            root[i, 2] += r2
+    for i in range(3):
+        for j in range(3):
+            inherited[i, j] = root[i, 0] * root[j, 0] + root[i, 1] * root[j, 1] + root[i, 2] * root[j, 2]
 
 
 @kernel
@@ -684,7 +697,13 @@ def judge_match(
             n += 1
     lever = math.sqrt(total / max(n, 1))
     scale = np.array([1.0, 1.0, 1.0 / lever])
-    values, vectors = np.linalg.eigh(h * np.outer(scale, scale))
+    values = np.empty(3)
+    vectors = np.empty((3, 3))
+    scaled = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            scaled[i, j] = h[i, j] * (scale[i] * scale[j])
+    eigh3(scaled, values, vectors)
     # the scaled tangent is (x, y, lever * theta)
     c = math.cos(T_prior[2])
     s = math.sin(T_prior[2])
@@ -743,9 +762,9 @@ def judge_match(
                 for i in range(3):
                     std = common_std_rad * lever if i == 2 else common_std_m
                     common_part[m, k] += std**2 * vectors[i, m] * vectors[i, k]
-    cov_common[:] = back @ common_part @ back.T
-    cov_map[:] = back @ map_part @ back.T
-    cov_own[:] = back @ own_part @ back.T
+    sandwich3(back, common_part, cov_common)
+    sandwich3(back, map_part, cov_map)
+    sandwich3(back, own_part, cov_own)
     whole = own_part + common_part
     for m in range(3):
         if values[m] > weak_ratio * n_pairs:
@@ -758,9 +777,11 @@ def judge_match(
             gain[m, m] = values[m] / residual_std**2
         else:
             whole[m, m] = 1.0
-    information[:] = forth @ np.linalg.inv(whole) @ forth.T
-    graph_information[:] = forth @ cautious @ forth.T
-    gain_information[:] = forth @ gain @ forth.T
+    if not invert3(whole, scaled):
+        scaled[:] = 0.0
+    sandwich3(forth, scaled, information)
+    sandwich3(forth, cautious, graph_information)
+    sandwich3(forth, gain, gain_information)
     if n_weak > 0:
         T[0] = T_prior[0] + c * kept[0] - s * kept[1]
         T[1] = T_prior[1] + s * kept[0] + c * kept[1]
@@ -787,15 +808,56 @@ def fuse(
     The gain is what the match's solver gave the scan against the prior, `cov_own` the noise that the scan had. Nothing
     is known better than the map: `out` is raised to `cov_map` where it is below.
     """
-    gain = np.linalg.solve(np.linalg.inv(cov_prior) + gain_information, gain_information)
-    kept = np.eye(3) - gain
-    fused = kept @ cov_predicted @ kept.T + gain @ cov_own @ gain.T
-    root = np.linalg.cholesky(0.5 * (fused + fused.T))
-    back = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(back @ cov_map @ back.T)
-    axes = root @ vectors
+    whole = np.empty((3, 3))
+    invert3(cov_prior, whole)
+    gain = np.empty((3, 3))
+    kept = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            whole[i, j] += gain_information[i, j]
+    for j in range(3):
+        solve3(whole, gain_information[:, j], gain[j])  # row j of the transpose
+    for i in range(3):
+        for j in range(i):
+            gain[i, j], gain[j, i] = gain[j, i], gain[i, j]
+    for i in range(3):
+        for j in range(3):
+            kept[i, j] = (1.0 if i == j else 0.0) - gain[i, j]
+    fused = np.empty((3, 3))
+    noise = np.empty((3, 3))
+    sandwich3(kept, cov_predicted, fused)
+    sandwich3(gain, cov_own, noise)
+    for i in range(3):
+        for j in range(3):
+            fused[i, j] += noise[i, j]
+    # its Cholesky factor, and the inverse of that
+    root = np.zeros((3, 3))
+    back = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            rest = 0.5 * (fused[i, j] + fused[j, i])
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            if i == j:
+                root[i, i] = math.sqrt(max(rest, 1e-15 * fused[i, i]))
+            else:
+                root[i, j] = rest / root[j, j]
+    for j in range(3):
+        back[j, j] = 1.0 / root[j, j]
+        for i in range(j + 1, 3):
+            rest = 0.0
+            for k in range(j, i):
+                rest -= root[i, k] * back[k, j]
+            back[i, j] = rest / root[i, i]
+    values = np.empty(3)
+    vectors = np.empty((3, 3))
+    sandwich3(back, cov_map, noise)
+    eigh3(noise, values, vectors)
+    for i in range(3):
+        for j in range(3):
+            kept[i, j] = root[i, 0] * vectors[0, j] + root[i, 1] * vectors[1, j] + root[i, 2] * vectors[2, j]
     for i in range(3):
         for j in range(3):
             out[i, j] = 0.0
             for k in range(3):
-                out[i, j] += axes[i, k] * max(values[k], 1.0) * axes[j, k]
+                out[i, j] += kept[i, k] * max(values[k], 1.0) * kept[j, k]

@@ -12,6 +12,8 @@ from slammot_graph.matching.local_map import LocalMap
 from slammot_graph.result_types import MatchResult, MatchStatus
 from slammot_graph.types import BoolArray, FloatArray
 
+_BARELY = 1e-6 * np.eye(3)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PointToLineConfig:
@@ -326,4 +328,4 @@ def _judge(
 
 def _invert(information: FloatArray) -> FloatArray:
     """Covariance of an information matrix that may be singular: huge in directions without any."""
-    return invert(information + 1e-6 * np.eye(3))
+    return invert(information + _BARELY)

@@ -5,14 +5,14 @@ import math
 import numpy as np
 
 from slammot_graph._numba import kernel
-from slammot_graph.motion.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
+from slammot_graph.motion.reasons import DISCARDED, FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 
 @kernel
 def end_point_covariances(
     ranges: FloatArray,
-    angles_base: FloatArray,
+    directions_base: FloatArray,
     origin_base: FloatArray,
     theta: float,
     cov_pose: FloatArray,
@@ -29,8 +29,8 @@ def end_point_covariances(
     s = math.sin(theta)
     for k in range(ranges.shape[0]):
         r = ranges[k]
-        ux = math.cos(angles_base[k])
-        uy = math.sin(angles_base[k])
+        ux = directions_base[k, 0]
+        uy = directions_base[k, 1]
         px = origin_base[0] + r * ux
         py = origin_base[1] + r * uy
         # H_r R_r H_r' in the base frame, J = [I | (-py, px)']
@@ -150,6 +150,24 @@ def ellipse_test(
             verdict = OCCUPIED if value > l_occupied else UNKNOWN
             break
         out[k] = verdict
+
+
+@kernel
+def near_places(
+    points: FloatArray, reason: IntArray, places: FloatArray, reach: float, out: BoolArray
+) -> bool:
+    """Mark in `out` the UNKNOWN or DISCARDED points within `reach` [m] of a place (k, 2); tell whether there is one."""
+    is_any = False
+    for k in range(points.shape[0]):
+        out[k] = False
+        if reason[k] != UNKNOWN and reason[k] != DISCARDED:
+            continue
+        for m in range(places.shape[0]):
+            if math.hypot(points[k, 0] - places[m, 0], points[k, 1] - places[m, 1]) < reach:
+                out[k] = True
+                is_any = True
+                break
+    return is_any
 
 
 @kernel

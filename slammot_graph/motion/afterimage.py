@@ -5,6 +5,7 @@ looked before. But where he stood a moment ago is empty now. (Visibility-based c
 al. 2014 do it for maps.)
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -96,5 +97,5 @@ class Afterimage:
         return earlier.points[is_gone]
 
     def _is_old(self, seen: _Seen, scan: Scan, T_local_base: FloatArray) -> bool:
-        way_m = np.hypot(*(T_local_base[:2] - seen.T_local_base[:2]))
+        way_m = math.dist(T_local_base[:2].tolist(), seen.T_local_base[:2].tolist())
         return bool(way_m >= self.config.way_m or scan.stamp - seen.stamp >= self.config.age_s)

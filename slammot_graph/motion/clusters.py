@@ -72,7 +72,9 @@ def find_clusters(points: FloatArray, is_member: BoolArray, config: ClusterConfi
     if not is_member.any():
         return labels, 0
     is_kept = _group(points, is_member, config, config.max_gap_m, config.min_points, labels)
-    if config.split_gap_m > 0.0 and not is_kept.all():
+    if is_kept.all():
+        return labels, len(is_kept)
+    if config.split_gap_m > 0.0:
         is_wide = is_member & ~is_kept[labels]
         parts = np.empty_like(labels)
         is_part_kept = _group(points, is_wide, config, config.split_gap_m, config.split_min_points, parts)

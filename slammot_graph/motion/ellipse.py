@@ -133,7 +133,7 @@ def _packed_covariances(
     packed = np.empty((len(scan.ranges), 3))
     _kernels.end_point_covariances(
         scan.ranges,
-        scan.laser.angles_base,
+        scan.laser.directions_base,
         scan.laser.origin_base,
         float(T_a_base[2]),
         cov_pose,
@@ -210,13 +210,14 @@ def detect_moving(
     cluster, n_clusters = find_clusters(points, is_free, clusters)
     is_moving = cluster >= 0
     reason[is_free & ~is_moving] = reasons.DISCARDED
-    for places, reach_m, why, groups in (
-        (emptied, emptied_reach_m, reasons.EMPTIED, clusters),
-        (expected, config.track_reach_m, reasons.TRACKED, replace(clusters, min_points=1)),
+    for places, reach_m, why, min_points in (
+        (emptied, emptied_reach_m, reasons.EMPTIED, clusters.min_points),
+        (expected, config.track_reach_m, reasons.TRACKED, 1),
     ):
         is_near = _is_near(points, reason, places, reach_m)
         if is_near is not None:
             reason[is_near] = why
+            groups = replace(clusters, min_points=min_points)
             cluster, n_clusters = find_clusters(points, is_moving | is_near, groups)
             is_moving = cluster >= 0
             reason[is_near & ~is_moving] = reasons.DISCARDED
@@ -227,7 +228,7 @@ def detect_moving(
         n_clusters=n_clusters,
         packed_cov=packed,
     )
-    if np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
+    if n_clusters and np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
         return detection.stand_back()
     return detection
 
@@ -291,7 +292,6 @@ def _is_near(
     """(n,) beams on unknown cells, or too few for a cluster, that end near one of the places; None for none."""
     if places is None or not len(places) or not reach_m > 0.0:
         return None
-    is_open = (reason == reasons.UNKNOWN) | (reason == reasons.DISCARDED)
-    offset = points[is_open, None, :] - places[None]
-    is_open[is_open] = (np.hypot(offset[..., 0], offset[..., 1]) < reach_m).any(axis=1)
-    return is_open if is_open.any() else None
+    is_near = np.empty(len(points), dtype=np.bool_)
+    is_any = _kernels.near_places(points, reason, places, reach_m, is_near)
+    return is_near if is_any else None

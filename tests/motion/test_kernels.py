@@ -31,7 +31,8 @@ def kernel_covariances(
     ranges: FloatArray, angles: FloatArray, origin: FloatArray, theta: float, cov: FloatArray
 ) -> FloatArray:
     out = np.empty((len(ranges), 3))
-    _kernels.end_point_covariances(ranges, angles, origin, theta, cov, 0.02, 0.007, out)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    _kernels.end_point_covariances(ranges, directions, origin, theta, cov, 0.02, 0.007, out)
     return out[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
 
 

@@ -1,0 +1,52 @@
+"""Quick modes of the experiments on covariances and on the test's labels."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import common, extra_moving_points, fit_p_moving
+from slammot_graph.motion.probability import NAMES, WEIGHTS
+from tests.experiments.test_scripts import assert_drawn, quick
+
+
+def test_consistency(tmp_path: Path) -> None:
+    text = quick("consistency", tmp_path, ("raw Hessian", "constant R_r", "average NEES", "mean NIS"))
+    assert "lab" in text
+
+
+def test_covariance_ablation(tmp_path: Path) -> None:
+    text = quick(
+        "covariance_ablation", tmp_path, ("absolute marginal", "relative to the anchor"), "--seeds", "1"
+    )
+    assert "Over the way driven" in text
+    assert_drawn(tmp_path / "figures" / "covariance_over_path.png")
+
+
+@pytest.mark.real
+def test_reliability(tmp_path: Path) -> None:
+    quick("reliability", tmp_path, ("intel", "lab"))
+    assert_drawn(tmp_path / "figures" / "reliability.png")
+
+
+@pytest.mark.real
+def test_extra_moving_points(tmp_path: Path) -> None:
+    module = "extra_moving_points"
+    from experiments import common, extra_moving_points
+
+    assert (
+        common.main(extra_moving_points.experiment, ["--quick", "--jobs", "1", "--output", str(tmp_path)])
+        == 0
+    )
+    assert "furniture" in (tmp_path / "tables" / f"{module}.md").read_text(encoding="utf-8")
+    assert_drawn(tmp_path / "figures" / f"{module}.png")
+
+
+def test_the_fit_finds_the_weights_that_made_the_data(rng: np.random.Generator) -> None:
+    evidence = rng.normal(size=(20_000, len(NAMES)))
+    evidence[:, 0] = 1.0
+    true = np.linspace(-1.0, 1.0, len(NAMES))
+    is_moving = rng.random(len(evidence)) < 1.0 / (1.0 + np.exp(-evidence @ true))
+    found = fit_p_moving.fit(evidence, np.ones(len(evidence)), is_moving.astype(np.float64))
+    np.testing.assert_allclose(found, true, atol=0.1)
+    assert not np.allclose(found, WEIGHTS, atol=0.1)
