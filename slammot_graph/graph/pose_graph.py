@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import gtsam
 import numpy as np
@@ -61,7 +61,6 @@ class PoseGraph:
         self._isam = _smoother(config)
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
-        self._newest_pose: FloatArray = np.zeros(3)
         self._thread = _large_stack_thread()
 
     def __len__(self) -> int:
@@ -75,7 +74,7 @@ class PoseGraph:
         return 0
 
     def add_node(self, T_map_base: FloatArray) -> int:
-        """Add a node with a first guess of its pose (3,); it needs an edge before the next `update`."""
+        """Add a node with a first guess of its pose (3,); it needs an edge before the next `update` or question."""
         node = self._n_nodes
         self._new_values.insert(node, _pose(T_map_base))
         self._n_nodes += 1
@@ -84,7 +83,7 @@ class PoseGraph:
     def add_edge(
         self, kind: EdgeKind, from_node: int, to_node: int, T_from_to: FloatArray, information: FloatArray
     ) -> GraphEdge:
-        """Add a relative pose between two nodes; it counts from the next `update` on.
+        """Add a relative pose between two nodes; it counts from the next `update` or question on.
 
         Parameters
         ----------
@@ -107,21 +106,18 @@ class PoseGraph:
         return edge
 
     def update(self) -> None:
-        """Bring what was added into the smoother.
+        """Bring what was added into the smoother; every question below does so first.
 
         Raises
         ------
         SlammotError
             The graph cannot be solved, as when a node has no edge; it is of no use from then on.
         """
-        factors, values, newest = self._new_factors, self._new_values, self._n_nodes - 1
+        if self._new_factors.size() == 0 and self._new_values.size() == 0:
+            return
+        factors, values = self._new_factors, self._new_values
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-
-        def update() -> tuple[Any, FloatArray]:
-            result = self._isam.update(factors, values)
-            return result, _plain(self._isam.calculateEstimatePose2(newest))
-
-        result, self._newest_pose = self._in_thread(update)
+        result = self._in_thread(lambda: self._isam.update(factors, values))
         indices = list(result.getNewFactorsIndices())
         for edge, index in zip(self._waiting, indices[len(indices) - len(self._waiting) :], strict=True):
             self._factor_of[id(edge)] = int(index)
@@ -129,6 +125,7 @@ class PoseGraph:
 
     def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
         """Take edges out again, as closures that turned out wrong."""
+        self.update()
 
         def remove() -> None:
             parameters = gtsam.ISAM2UpdateParams()
@@ -159,25 +156,25 @@ class PoseGraph:
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
+        self.update()
         return self._in_thread(lambda: _plain(self._isam.calculateEstimatePose2(node)))
-
-    def newest_pose(self) -> FloatArray:
-        """(3,) optimised pose of the newest node after the last `update`, map frame; costs nothing."""
-        return self._newest_pose
 
     def poses(self) -> FloatArray:
         """(n, 3) optimised poses of all nodes, map frame."""
+        self.update()
         values = self._in_thread(self._isam.calculateBestEstimate)
         poses = gtsam.utilities.extractPose2(values)
         return np.asarray(poses, dtype=np.float64).reshape(-1, 3)
 
     def marginal(self, node: int) -> FloatArray:
         """(3, 3) absolute covariance of a node, right perturbation (body frame)."""
+        self.update()
         cov = np.asarray(self._in_thread(lambda: self._isam.marginalCovariance(node)), dtype=np.float64)
         return _checked(cov, f"node {node}")
 
     def marginals(self) -> FloatArray:
         """(n, 3, 3) absolute covariances of all nodes, right perturbation (body frame)."""
+        self.update()
 
         def all_marginals() -> FloatArray:
             return np.array([self._isam.marginalCovariance(k) for k in range(self._n_nodes)])
@@ -191,6 +188,7 @@ class PoseGraph:
         """
         if anchor == node:
             return np.zeros((3, 3))
+        self.update()
 
         def query() -> tuple[FloatArray, gtsam.Pose2]:
             joint = self._isam.jointMarginalCovariance([anchor, node]).fullMatrix()

@@ -108,6 +108,7 @@ class ScanToMap:
         self._T_local_node: FloatArray = se2.IDENTITY
         self._T_map_node: FloatArray = se2.IDENTITY
         self._cov_odometry: FloatArray = np.zeros((3, 3))
+        self._cov_node: FloatArray = FIRST_COV
         self._n_failed = 0
         self._n_blind = 0
         self._T_odom_seen: FloatArray = se2.IDENTITY
@@ -338,10 +339,12 @@ class ScanToMap:
     def _add_node(self, scan: Scan) -> int:
         """Add the scan to the graph, tied by odometry to the last node and by the match to the anchor."""
         if len(self.graph) == 0:
-            node = self.graph.start(self._T_local_base)
+            T_map_node = self._T_local_base
+            node = self.graph.start(T_map_node)
         else:
             last = len(self.graph) - 1
-            node = self.graph.add_node(se2.compose(self.T_map_local, self._T_local_base))
+            T_map_node = se2.compose(self.T_map_local, self._T_local_base)
+            node = self.graph.add_node(T_map_node)
             T_last_node = se2.between(self._T_odom_node, scan.T_odom_base)
             odometry = self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
             is_matched = self._match is not None and self._match.status != "failed"
@@ -351,8 +354,10 @@ class ScanToMap:
                 self.local_factors.add(odometry, self._T_local_base, self._match.information)
             else:
                 self.local_factors.add(odometry, self._T_local_base, np.zeros((3, 3)))
-            self.graph.update()
-        self._T_map_node = self.graph.newest_pose()
+            self._cov_node = se2.compound_covariance(self._cov_node, T_last_node, self._cov_odometry)
+            if self._match is not None and is_matched:
+                self._cov_node = fuse(self._cov_node, self._match)
+        self._T_map_node = T_map_node
         self._T_local_node = self._T_local_base
         self._T_odom_node = scan.T_odom_base
         self._cov_odometry = np.zeros((3, 3))
@@ -368,15 +373,15 @@ class ScanToMap:
         )
         is_first = not self.local_map.keyframes
         finished = self.local_map.add(keyframe, None if is_first else self._cov_own)
-        has_closed, events = False, list[str]()
+        events = list[str]()
         if finished and self.closer is not None:
-            has_closed, self._closures = self.closer.consider(self._submap(finished))
+            _, self._closures = self.closer.consider(self._submap(finished))
             events = [attempt.text for attempt in self._closures]
         anchor = self.local_map.anchor.node
-        if has_closed:
-            self._T_map_node = self.graph.pose(node)
         if is_first or finished:
+            self._T_map_node = self.graph.pose(node)
             self._cov_anchor = self.graph.marginal(anchor)
+            self._cov_node = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
         if is_first:
             self.local_factors.start(node, self._T_local_base)
             self._cov_own, self._cov_common = FIRST_COV, np.zeros((3, 3))
@@ -384,5 +389,5 @@ class ScanToMap:
             covs = self.local_factors.relative_to(anchor)
             self.local_map.set_covariances(covs)
             self._cov_own = covs[-1]
-        self._cov_prior = FIRST_COV if anchor == node else self.graph.relative_covariance(anchor, node)
+        self._cov_prior = self._cov_node
         return events
