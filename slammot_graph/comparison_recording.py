@@ -16,7 +16,6 @@ from slammot_graph.rerun_parts import (
     Times,
     at_height,
     collapsed_panels,
-    eye_above,
     grid_map,
     plot_view,
     until_cursor,
@@ -140,10 +139,17 @@ def _log_run(rec: "rr.RecordingStream", run: ComparedRun, color: int) -> None:
         origins=[[0.0, 0.0, 0.09]],
         colors=color,
         radii=0.05,
+    )
+    log(nose, "robot")
+    # a label has the colour of its point, and a run's own cannot be read on the label's grey
+    label = rr.Points3D(
+        [[0.0, 0.0, 0.1]],
+        colors=0xFFFFFFFF,
+        radii=rr.Radius.ui_points(0.5),
         labels=[run.name],
         show_labels=True,
     )
-    log(nose, "robot")
+    log(label, "robot", "name")
     log(rr.Points3D.from_fields(colors=color, radii=rr.Radius.ui_points(2.5)), "moving")
     T_map_base = run.folder.T_map_base
     columns = rr.Transform3D.columns(
@@ -198,13 +204,10 @@ def _blueprint(runs: Sequence[ComparedRun], plots: Sequence[str]) -> "rrb.Bluepr
     import rerun.blueprint as rrb
 
     # the first run's map is in the frame of all
-    centre, extent_m = view_of(np.concatenate([run.T_ref_base for run in runs]), runs[0].folder.grid)
-    x, y = centre.tolist()
+    frame = view_of(np.concatenate([run.T_ref_base for run in runs]), runs[0].folder.grid)
     overrides: dict[Any, Any] = {_entity(run, "moving"): until_cursor(TRAIL_SCANS) for run in runs}
     overrides |= {_entity(run, "map"): rrb.EntityBehavior(visible=False) for run in runs[1:]}
-    map_view = view_from_above(
-        "Map", "/world", ["+ /world/**"], eye_above(x, y, 1.2 * extent_m, (0.0, 1.0, 0.0)), overrides
-    )
+    map_view = view_from_above("Map", "/world", ["+ /world/**"], frame.eye(1.1), overrides)
     views = [plot_view(PLOTS[group], group) for group in plots]
     summary = rrb.TextDocumentView(origin="/doc/summary", name="Runs and legend")
     return rrb.Blueprint(

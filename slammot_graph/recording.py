@@ -27,12 +27,13 @@ from slammot_graph.colors import (
     track_color,
 )
 from slammot_graph.rerun_parts import (
+    Frame,
     Sink,
     Times,
     at_height,
     collapsed_panels,
-    eye_above,
     grid_map,
+    plot_pair,
     plot_view,
     until_cursor,
     view_from_above,
@@ -47,7 +48,7 @@ from slammot_graph.result_types import (
     StepResult,
     TrackState,
 )
-from slammot_graph.types import FloatArray, IntArray
+from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -58,44 +59,66 @@ SCANS_PER_SEND_LIVE = 10
 STATIC_ELLIPSE_EVERY = 10
 """Of the static beams only one in so many shows its ellipse; every moving one does."""
 TRAIL_SCANS = 150
-"""How long tracks and moving points stay visible behind the cursor [scans]."""
+"""How long tracks stay visible behind the cursor [scans]."""
+MOVING_SCANS = 40
+"""How long moving points stay visible behind the cursor [scans]."""
+RECENT_SCANS = 600
+"""How long what the nodes saw stays visible behind the cursor [scans]: the map is drawn anew less often."""
 SHIFT_SCANS = 30
 """How long the graph as it was before and after a closure stays visible behind the cursor [scans]."""
 MAX_SHIFT_NODES = 1000
 """Longer graphs are thinned to about so many nodes where they are drawn as they were before and after."""
 MAX_VIEW_NODES = 300
 """The graph view shows the shape of the graph, thinned to about so many nodes."""
+GRAPH_VIEW_SCALE = 20.0
+"""Units of the graph view in a metre, so that its nodes do not cover each other."""
+LABELS_BELOW_M = 30.0
+"""In a larger map the tracks' numbers would cover each other; beside the robot they are always shown."""
 MAP_SHARE, GRAPH_SHARE = 0.15, 0.10
 """What maps and graphs may add to the bytes of the scans: the larger they grow, the rarer they are logged."""
+RENEWAL_SHARE = 0.1
+"""Maps and graphs are logged when the run has grown by this share: all of them together cost a fixed time a scan."""
 NIS_BOUND_95 = 7.81
 """95% of a chi-square with 3 degrees of freedom."""
+NIS_SHOWN = 20.0
+"""The plot of the NIS ends here; a few matches lie far above."""
 SIGMAS_95 = 2.448
 """Semi-axis of a 95% ellipse in the plane, in standard deviations."""
 
 ATTEMPT_COLORS: Mapping[ClosureStatus, int] = {
     "accepted": 0x2CA02CFF,
     "waiting": 0xFFA000FF,
-    "refused": 0x66666690,
+    "refused": 0x8C8C8CFF,
     "taken back": 0xD62728FF,
 }
+
+STATIC, MOVING, DOUBTFUL = 1, 2, 3
+"""Classes of points; doubtful are those called static although they more probably moved."""
+COLOR_DOUBTFUL, COLOR_RECENT = 0xF2A900FF, 0x4A4A4AFF
+COLOR_MOVED, COLOR_POSE_COV = 0xF29B94FF, 0x003A70FF
 
 LEGEND = """
 | in the map | |
 |---|---|
 | white, black, grey | free, occupied, not known |
+| small dark points | what the graph's nodes saw lately, also where the map is not yet drawn |
 | blue points | the scan's static points |
+| amber points | static by the decision, though `p_moving` is above one half |
 | red points, red ellipses | points that move, with the 95% covariance that the test used |
-| thin blue ellipses | the same of every tenth static point |
+| light red points | those of the last scans |
+| thin blue ellipses | the same covariance of every tenth static point |
 | blue line, dark blue ellipse | estimated path, 95% of the robot's position |
+| dark blue dot on the path | the scan that the local map hangs on |
 | orange line | raw odometry, started at the same place |
 | green line | truth, where it is known |
-| numbered points with arrows | tracks with their velocity and 95% ellipse |
+| points with arrows | tracks with their velocity and 95% ellipse, numbered where there is room |
 | pink lines | loop closures of the graph |
 | green, amber, red lines | loop closures when they were accepted, held back, taken back |
 | grey lines | those last refused, hidden unless you switch `closures/refused` on |
 | brown and cyan line | for some scans: the graph before and after a closure |
 
-Select a point to read its beam, `p_moving_percent` and `reason`, and a loop closure to read why.
+Click a point, or an ellipse, twice to read its `beam`, `p_moving`, the `reason` of the decision and the semi-axes of
+its 95% ellipse; click a loop closure to read why. The panel for it opens with the button at the top right.
 """
 
 
@@ -191,6 +214,7 @@ class RerunLog:
         self._last_step: StepResult | None = None
         self._sent = _Sent()
         self._budget = {"map": _Budget(MAP_SHARE, 20), "graph": _Budget(GRAPH_SHARE, 50)}
+        self._scan_boxes: list[FloatArray] = []
         self._n_scans = 0
         self._is_open = True
         with self._sink.errors():
@@ -218,7 +242,8 @@ class RerunLog:
         """Keep one step; a batch of them is sent at a time."""
         if self._last_step is None:
             with self._sink.errors():
-                self._send_blueprint(step.T_map_base[:2], 15.0, has_truth=_has_truth(step))
+                self._scan_boxes.append(_box(step.scan.points_base()[step.is_valid]))
+                self._send_blueprint(Frame(step.T_map_base[:2], 15.0, 15.0), has_truth=_has_truth(step))
         self._follow_graph(step)
         self._steps.append(step)
         self._last_step = step
@@ -277,9 +302,11 @@ class RerunLog:
             if len(result.stamps):
                 path = at_height(result.T_map_base[None, :, :2], 0.03)
                 self._rec.log("/world/final/path", rr.LineStrips3D(path))
-                centre, extent_m = view_of(result.T_map_base, result.grid)
                 has_truth = self._last_step is not None and _has_truth(self._last_step)
-                self._send_blueprint(centre, extent_m, has_truth=has_truth)
+                frame = view_of(result.T_map_base, result.grid)
+                # the first scans take long, since kernels are loaded
+                slow_ms = np.nanpercentile(result.stage_ms.get("step", np.array([np.nan])), 99.0)
+                self._send_blueprint(frame, has_truth=has_truth, step_ms=float(slow_ms))
             self._sink.log_text("/doc/summary", _summary(result))
 
     def close(self) -> None:
@@ -332,15 +359,21 @@ class RerunLog:
 
         times = _times(steps)
         T_map_base = np.stack([step.T_map_base for step in steps])
-        n_valid = [int(np.count_nonzero(step.is_valid)) for step in steps]
-        beam = np.concatenate([np.flatnonzero(step.is_valid) for step in steps])
+        n_valid = np.array([np.count_nonzero(step.is_valid) for step in steps])
+        row = np.repeat(np.arange(len(steps)), n_valid)
         points_base = np.concatenate([step.scan.points_base()[step.is_valid] for step in steps])
+        points_map = se2.transform(T_map_base[row], points_base[:, None, :])[:, 0]
         is_moving = np.concatenate([step.is_moving[step.is_valid] for step in steps])
         p_moving = np.concatenate([step.p_moving[step.is_valid] for step in steps])
-        reason = np.concatenate([step.reason[step.is_valid] for step in steps])
-        cov = np.concatenate([step.point_cov_map[step.is_valid] for step in steps])
-        row = np.repeat(np.arange(len(steps)), n_valid)
-        points_map = se2.transform(T_map_base[row], points_base[:, None, :])[:, 0]
+        packed_cov = np.concatenate([step.packed_cov[step.is_valid] for step in steps])
+        half_sizes, angle = _ellipses(packed_cov)
+        angle += np.array([step.local_yaw for step in steps])[row]
+        why = _Why(
+            beam=np.concatenate([np.flatnonzero(step.is_valid) for step in steps]),
+            p_moving=p_moving,
+            reason=np.concatenate([step.reason[step.is_valid] for step in steps]),
+            half_sizes=half_sizes,
+        )
 
         self._send(
             "/world/robot",
@@ -350,34 +383,68 @@ class RerunLog:
                 quaternion=yaw_quaternion(T_map_base[:, 2]),
             ),
         )
+        class_ids = np.where(is_moving, MOVING, np.where(p_moving > 0.5, DOUBTFUL, STATIC))
         points = rr.Points3D.columns(
-            positions=at_height(points_base, 0.06), class_ids=np.where(is_moving, 2, 1).astype(np.uint16)
+            positions=at_height(points_base, 0.06), class_ids=class_ids.astype(np.uint16)
         )
-        why = rr.AnyValues.columns(
-            beam=beam.astype(np.uint16),
-            p_moving_percent=np.round(100.0 * np.nan_to_num(p_moving)).astype(np.uint8),
-            reason=reason.astype(np.uint8),
+        self._send(
+            "/world/robot/scan", times, [*points.partition(n_valid), *why.columns().partition(n_valid)]
         )
-        self._send("/world/robot/scan", times, [*points.partition(n_valid), *why.partition(n_valid)])
-        self._sent.n_bytes += 20 * len(beam)
+        self._sent.n_bytes += 20 * len(row)
+        if len(row):
+            self._scan_boxes.append(_box(points_base))
 
         n_rows = len(steps)
         n_moving = np.bincount(row[is_moving], minlength=n_rows)
         moving = rr.Points3D.columns(positions=at_height(points_map[is_moving], 0.04))
         self._send_batches("/world/moving/points", times, moving, n_moving)
-        self._send_ellipses(
-            "/world/ellipses/moving", times, points_map[is_moving], cov[is_moving], n_moving, 0.05
-        )
-        is_shown = ~is_moving & (beam % STATIC_ELLIPSE_EVERY == 0)
-        n_shown = np.bincount(row[is_shown], minlength=n_rows)
-        self._send_ellipses(
-            "/world/ellipses/static", times, points_map[is_shown], cov[is_shown], n_shown, 0.045
-        )
+        is_shown = ~is_moving & (why.beam % STATIC_ELLIPSE_EVERY == 0)
+        for name, chosen, z in (("moving", is_moving, 0.05), ("static", is_shown, 0.045)):
+            self._send_ellipses(
+                f"/world/ellipses/{name}",
+                times,
+                points_map[chosen],
+                (half_sizes[chosen], angle[chosen]),
+                np.bincount(row[chosen], minlength=n_rows),
+                z,
+                why[chosen],
+            )
+        rows_of_nodes = [k for k, step in enumerate(steps) if step.node is not None]
+        if rows_of_nodes:
+            is_seen = ~is_moving & np.isin(row, rows_of_nodes)
+            seen = rr.Points3D.columns(positions=at_height(points_map[is_seen], -0.04))
+            lengths = np.bincount(row[is_seen], minlength=n_rows)[rows_of_nodes]
+            self._send("/world/map/recent", times[rows_of_nodes], seen.partition(lengths))
+            self._sent.n_bytes += 12 * int(lengths.sum())
 
         # two numbers a row need no more than this: covariance of the robot's place, in map axes
         pose_cov = se2.body_to_world_covariance(np.stack([step.cov_map for step in steps]), T_map_base[:, 2])
+        ellipses = _ellipses(_packed(pose_cov))
         one = np.ones(n_rows, dtype=np.int64)
-        self._send_ellipses("/world/estimate/cov", times, T_map_base[:, :2], pose_cov[:, :2, :2], one, 0.02)
+        self._send_ellipses("/world/estimate/cov", times, T_map_base[:, :2], ellipses, one, 0.02)
+        self._send_anchors(steps)
+
+    def _send_anchors(self, steps: list[StepResult]) -> None:
+        """Send the place of the scan that the local map hangs on, where it changes."""
+        import rerun as rr
+
+        anchors = [step.anchor_scan for step in steps]
+        before = [self._sent.anchor, *anchors[:-1]]
+        self._sent.anchor = anchors[-1]
+        changed = [row for row, anchor in enumerate(anchors) if anchor != before[row]]
+        if not changed:
+            return
+        of_steps = [steps[row] for row in changed]
+        T_map_anchor = se2.compose(
+            np.stack([step.T_map_base for step in of_steps]),
+            se2.inverse(np.stack([step.T_anchor_base for step in of_steps])),
+        )
+        has_anchor = np.array([step.anchor_scan >= 0 for step in of_steps])
+        points = rr.Points3D.columns(
+            positions=at_height(T_map_anchor[has_anchor, :2], 0.026),
+            labels=[f"scan {step.anchor_scan}" for step in of_steps if step.anchor_scan >= 0],
+        )
+        self._send_batches("/world/anchor", _times(of_steps), points, has_anchor.astype(np.int64))
 
     def _send_paths(self, steps: list[StepResult]) -> None:
         """Send one segment per scan of each path."""
@@ -411,8 +478,8 @@ class RerunLog:
     def _send_errors(self, T_map_base_true: FloatArray, steps: list[StepResult]) -> None:
         error = se2.between(T_map_base_true, np.stack([step.T_map_base for step in steps]))
         times = _times(steps)
-        self._send_scalars("error/translation_m", times, np.hypot(error[:, 0], error[:, 1]))
-        self._send_scalars("error/rotation_deg", times, np.degrees(np.abs(error[:, 2])))
+        self._send_scalars("error_m/distance", times, np.hypot(error[:, 0], error[:, 1]))
+        self._send_scalars("error_deg/turn", times, np.degrees(np.abs(error[:, 2])))
 
     def _send_tracks(self, tracks: list[tuple[TrackState, ...]], times: Times) -> None:
         """Send one batch per scan of all tracks, an empty one when there are none."""
@@ -431,14 +498,16 @@ class RerunLog:
             self._sent.last_track_xy = {state.track_id: state.position for state in of_scan}
         segments = np.stack([np.array(before).reshape(-1, 2), centre], axis=1)
 
+        points = rr.Points3D.columns(positions=places, colors=colors)
         labels = [str(state.track_id) for state in states]
-        points = rr.Points3D.columns(positions=places, colors=colors, labels=labels)
+        numbers = rr.Points3D.columns(positions=places, labels=labels)
         arrows = rr.Arrows3D.columns(vectors=at_height(velocity, 0.0), origins=places, colors=colors)
         trail = rr.LineStrips3D.columns(strips=at_height(segments, 0.07), colors=colors)
         self._send_batches("/world/tracks/centre", times, points, n_tracks)
+        self._send_batches("/world/tracks/number", times, numbers, n_tracks)
         self._send_batches("/world/tracks/velocity", times, arrows, n_tracks)
         self._send_batches("/world/tracks/trail", times, trail, n_tracks)
-        self._send_ellipses("/world/tracks/cov", times, centre, cov, n_tracks, 0.075)
+        self._send_ellipses("/world/tracks/cov", times, centre, _ellipses(_packed(cov)), n_tracks, 0.075)
 
     def _send_closures(self) -> None:
         """Send one batch per status and step that tried any; an empty one clears those tried before."""
@@ -476,16 +545,16 @@ class RerunLog:
         ends[[0, -1]] = NIS_BOUND_95
         self._send_scalars("nis/bound_95", times, ends)
         for name, cov in (
-            ("map", np.stack([step.cov_map for step in steps])),
+            ("in_map", np.stack([step.cov_map for step in steps])),
             ("relative", np.stack([step.cov_relative for step in steps])),
         ):
-            semi_axis = np.sqrt(_axes(cov[:, :2, :2])[0][:, 0])
-            self._send_scalars(f"std/position_{name}_m", times, semi_axis)
+            semi_axis = _ellipses(_packed(cov))[0][:, 0] / SIGMAS_95
+            self._send_scalars(f"std_m/{name}", times, semi_axis)
             heading = np.degrees(np.sqrt(np.maximum(cov[:, 2, 2], 0.0)))
-            self._send_scalars(f"std/heading_{name}_deg", times, heading)
-        for name in ("residual_m", "inlier_ratio"):
+            self._send_scalars(f"std_deg/{name}", times, heading)
+        for group, name in (("residual", "residual_m"), ("inliers", "inlier_ratio")):
             values = [np.nan if step.match is None else getattr(step.match, name) for step in steps]
-            self._send_scalars(f"match/{name}", times, np.array(values, dtype=np.float64))
+            self._send_scalars(f"{group}/{name}", times, np.array(values, dtype=np.float64))
 
     def _send_texts(self, steps: list[StepResult]) -> None:
         """Send events, and the match's state where it changes."""
@@ -506,18 +575,26 @@ class RerunLog:
         self._sent.state = states[-1]
 
     def _send_ellipses(
-        self, path: str, times: Times, centres: FloatArray, cov: FloatArray, lengths: IntArray, z: float
+        self,
+        path: str,
+        times: Times,
+        centres: FloatArray,
+        ellipses: tuple[FloatArray, FloatArray],
+        lengths: IntArray,
+        z: float,
+        why: "_Why | None" = None,
     ) -> None:
-        """Send 95% ellipses of (k, 2, 2) covariances in map axes."""
+        """Send ellipses: their centres, and semi-axes and angles as of `_ellipses`, in map axes."""
         import rerun as rr
 
-        variances, angle = _axes(cov)
-        half_sizes = SIGMAS_95 * np.sqrt(variances)
+        half_sizes, angle = ellipses
         columns = rr.Ellipsoids3D.columns(
             centers=at_height(centres, z),
             half_sizes=at_height(half_sizes, 0.002),
             quaternions=yaw_quaternion(angle),
         )
+        if why is not None:
+            columns = rr.ComponentColumnList([*columns, *why.columns()])
         self._send_batches(path, times, columns, lengths)
 
     def _send_batches(
@@ -566,7 +643,9 @@ class RerunLog:
             "/graph/chain",
             rr.GraphNodes(
                 node_ids=names,
-                positions=(nodes[kept, :2] * [20.0, -20.0]).astype(np.float32),  # the view's y points down
+                positions=(nodes[kept, :2] * [GRAPH_VIEW_SCALE, -GRAPH_VIEW_SCALE]).astype(
+                    np.float32
+                ),  # the view's y points down
                 colors=np.array(
                     [COLOR_CLOSURE if node in ends else COLOR_ESTIMATE for node in kept], np.uint32
                 ),
@@ -578,8 +657,9 @@ class RerunLog:
         pairs = [(str(a), str(b)) for a, b in closures]
         self._rec.log("/graph/closures", rr.GraphEdges(pairs, graph_type="directed"))
 
-    def _send_blueprint(self, centre: FloatArray, extent_m: float, *, has_truth: bool) -> None:
-        self._rec.send_blueprint(_blueprint(centre, extent_m, has_truth=has_truth))
+    def _send_blueprint(self, of_map: Frame, *, has_truth: bool, step_ms: float = math.nan) -> None:
+        of_scan = Frame.around(np.median(self._scan_boxes, axis=0))
+        self._rec.send_blueprint(_blueprint(of_map, of_scan, has_truth=has_truth, step_ms=step_ms))
 
 
 @dataclass(frozen=True, eq=False)
@@ -588,6 +668,41 @@ class _Tried:
 
     step: StepResult
     segments: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Why:
+    """What is told of a point that is selected: beam number, probability, reason, semi-axes of the 95% ellipse [m]."""
+
+    beam: IntArray
+    p_moving: FloatArray
+    reason: IntArray
+    half_sizes: FloatArray
+
+    def __getitem__(self, chosen: BoolArray) -> "_Why":
+        return _Why(
+            beam=self.beam[chosen],
+            p_moving=self.p_moving[chosen],
+            reason=self.reason[chosen],
+            half_sizes=self.half_sizes[chosen],
+        )
+
+    def columns(self) -> "rr.ComponentColumnList":
+        """Give them as columns; rerun would turn anything but arrow arrays into lists, number by number."""
+        import pyarrow as pa  # type: ignore[import-untyped]
+        import rerun as rr
+
+        from slammot_graph.motion import REASONS
+
+        semi_mm = np.minimum(np.round(1000.0 * self.half_sizes), 65535).astype(np.uint16)
+        reason = pa.DictionaryArray.from_arrays(pa.array(self.reason.astype(np.int8)), pa.array(REASONS))
+        return rr.AnyValues.columns(
+            beam=pa.array(self.beam.astype(np.uint16)),
+            p_moving=pa.array(np.round(self.p_moving, 3).astype(np.float32)),
+            reason=reason,
+            ellipse_long_mm=pa.array(semi_mm[:, 0]),
+            ellipse_short_mm=pa.array(semi_mm[:, 1]),
+        )
 
 
 class _Sent:
@@ -601,6 +716,7 @@ class _Sent:
         self.last_length: dict[str, int] = {}
         self.named: set[str] = set()
         self.state = ""
+        self.anchor = -1
 
 
 class _Budget:
@@ -614,7 +730,7 @@ class _Budget:
         self._last_n_scans = -n_scans_between
 
     def is_due(self, n_scans: int, scan_bytes: int) -> bool:
-        if n_scans - self._last_n_scans < self._n_scans_between:
+        if n_scans - self._last_n_scans < max(self._n_scans_between, RENEWAL_SHARE * n_scans):
             return False
         return self._n_bytes + self._last_n_bytes <= self._share * scan_bytes
 
@@ -638,6 +754,12 @@ _LINE_COLORS = {
     "nis/nis": COLOR_MATCH,
     "nis/bound_95": COLOR_MOVING,
     "timing/step": 0xDDDDDDFF,
+    "error_m/distance": COLOR_TRUTH,
+    "error_deg/turn": COLOR_TRUTH,
+    **{f"{group}/in_map": COLOR_ESTIMATE for group in ("std_m", "std_deg")},
+    **{f"{group}/relative": COLOR_ODOMETRY for group in ("std_m", "std_deg")},
+    "residual/residual_m": COLOR_MATCH,
+    "inliers/inlier_ratio": COLOR_MATCH,
 }
 
 
@@ -655,7 +777,11 @@ def _log_style(rec: "rr.RecordingStream") -> None:
         width_ui = rr.Radius.ui_points(width)
         style(path, rr.Ellipsoids3D.from_fields(colors=color, line_radii=width_ui, fill_mode=mode))
 
-    classes = [(1, "static", COLOR_STATIC), (2, "moving", COLOR_MOVING)]
+    classes = [
+        (STATIC, "static", COLOR_STATIC),
+        (MOVING, "moving", COLOR_MOVING),
+        (DOUBTFUL, "static, p_moving above one half", COLOR_DOUBTFUL),
+    ]
     style("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, rr.AnnotationContext(classes))
     style("/world/robot/scan", rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.5)))
     body = rr.Arrows3D(
@@ -664,16 +790,24 @@ def _log_style(rec: "rr.RecordingStream") -> None:
     style("/world/robot/body", body)
     line("/world/estimate/path", COLOR_ESTIMATE, 1.5)
     line("/world/odom/path", COLOR_ODOMETRY, 1.0)
-    line("/world/truth/path", COLOR_TRUTH, 1.0)
+    line("/world/truth/path", COLOR_TRUTH, 3.0)  # it shows beside an estimate that lies on it
     line("/world/final/path", COLOR_ESTIMATE, 2.0)
-    wire, filled = rr.components.FillMode.MajorWireframe, rr.components.FillMode.TransparentFillMajorWireframe
-    ellipses("/world/estimate/cov", 0x003A70FF, wire, 1.2)
+    wire = rr.components.FillMode.MajorWireframe
+    ellipses("/world/estimate/cov", COLOR_POSE_COV, wire, 1.2)
     ellipses("/world/ellipses/moving", COLOR_MOVING, wire)
     ellipses("/world/ellipses/static", COLOR_STATIC, wire, 0.5)
-    ellipses("/world/tracks/cov", 0xF2A900FF, filled)
-    moving = rr.Points3D.from_fields(colors=0xE3342F60, radii=rr.Radius.ui_points(1.5))
-    style("/world/moving/points", moving)
-    style("/world/tracks/centre", rr.Points3D.from_fields(radii=rr.Radius.ui_points(5.0), show_labels=True))
+    ellipses("/world/tracks/cov", COLOR_DOUBTFUL, wire)
+    for path, color, size in (
+        ("/world/moving/points", COLOR_MOVED, 1.2),
+        ("/world/map/recent", COLOR_RECENT, 1.0),
+        ("/world/anchor", COLOR_POSE_COV, 5.0),
+    ):
+        radii = rr.Radius.ui_points(size)
+        style(path, rr.Points3D.from_fields(colors=color, radii=radii, show_labels=False))
+    style("/world/tracks/centre", rr.Points3D.from_fields(radii=rr.Radius.ui_points(5.0)))
+    # of their own, since a label has the colour of its point, and a dark one cannot be read
+    number = rr.Points3D.from_fields(colors=0xFFFFFFFF, radii=rr.Radius.ui_points(0.5), show_labels=True)
+    style("/world/tracks/number", number)
     style("/world/tracks/velocity", rr.Arrows3D.from_fields(radii=rr.Radius.ui_points(1.2)))
     style("/world/tracks/trail", rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5)))
     style(
@@ -695,45 +829,75 @@ def _log_style(rec: "rr.RecordingStream") -> None:
     )
 
 
-def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.Blueprint":
-    """Lay out the views; the map is seen from above, `extent_m` wide around `centre`."""
+def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float) -> "rrb.Blueprint":
+    """Lay out the views; the map and the scan are seen from above, each within its frame.
+
+    `step_ms` is how long most steps took, NaN if that is not known yet.
+    """
+    import rerun as rr
     import rerun.blueprint as rrb
 
+    trails = {
+        "/world/estimate/path": until_cursor(),
+        "/world/odom/path": until_cursor(),
+        "/world/truth/path": until_cursor(),
+        "/world/tracks/trail": until_cursor(TRAIL_SCANS),
+        "/world/moving/points": until_cursor(MOVING_SCANS),
+        "/world/map/recent": until_cursor(RECENT_SCANS),
+    }
     of_closures = {
         _closure_path("accepted"): until_cursor(),
         "/world/closures/graph_before": until_cursor(SHIFT_SCANS),
         "/world/closures/graph_after": until_cursor(SHIFT_SCANS),
     }
-    x, y = float(centre[0]), float(centre[1])
-    map_eye = eye_above(x, y, 1.2 * extent_m, (0.0, 1.0, 0.0))
     map_view = view_from_above(
         "Map",
         "/world",
         ["+ /world/**", "- /world/graph/**", "+ /world/graph/closure", "- /world/final/**"],
-        map_eye,
+        of_map.eye(1.1),
         overrides={
-            "/world/estimate/path": until_cursor(),
-            "/world/odom/path": until_cursor(),
-            "/world/truth/path": until_cursor(),
-            "/world/tracks/trail": until_cursor(TRAIL_SCANS),
-            "/world/moving/points": until_cursor(TRAIL_SCANS),
-            _closure_path("refused"): rrb.EntityBehavior(visible=False),
+            **trails,
             **of_closures,
+            _closure_path("refused"): rrb.EntityBehavior(visible=False),
+            "/world/tracks/number": rr.Points3D.from_fields(show_labels=of_map.extent_m < LABELS_BELOW_M),
         },
     )
-    graph_entities = ["/world/map/**", "/world/graph/**", "/world/closures/**", "/world/final/**"]
-    graph_map = view_from_above("Graph on the map", "/world", graph_entities, map_eye, {**of_closures})
-    scan_eye = eye_above(0.0, 0.0, 16.0, (1.0, 0.0, 0.0))
-    scan_view = view_from_above("Scan, robot's frame", "/world/robot", ["/world/robot/**"], scan_eye)
-    plots = [
-        plot_view("NIS of the match", "nis"),
+    graph_map = view_from_above(
+        "Graph on the map",
+        "/world",
+        ["/world/map/grid", "/world/graph/**", "/world/closures/**", "/world/final/**"],
+        of_map.eye(1.1),
+        of_closures,
+    )
+    scan_view = view_from_above(
+        "Scan, robot's frame",
+        "/world/robot",
+        [f"/world/{name}/**" for name in ("robot", "ellipses", "tracks", "moving", "map")],
+        of_scan.eye(1.7, ahead_is_up=True),
+        {path: what for path, what in trails.items() if "path" not in path},
+    )
+    half = 0.55 * GRAPH_VIEW_SCALE * of_map.extent_m
+    x, y = (GRAPH_VIEW_SCALE * of_map.centre).tolist()
+    graph_view = rrb.GraphView(
+        origin="/graph",
+        name="Graph",
+        visual_bounds=rrb.VisualBounds2D(x_range=(x - half, x + half), y_range=(-y - half, -y + half)),
+    )
+    plots: list[rrb.View | rrb.Container] = [
+        plot_view("NIS of the match, 95% bound", "nis", top=NIS_SHOWN),
         plot_view("Points and tracks", "count"),
-        plot_view("Time per stage [ms]", "timing"),
-        plot_view("Uncertainty", "std"),
-        plot_view("Match", "match"),
+        plot_view("Time per stage [ms]", "timing", top=1.2 * step_ms if math.isfinite(step_ms) else None),
+        plot_pair(
+            "Uncertainty (relative: of the test)",
+            ("Position std [m]", "std_m"),
+            ("Heading std [degrees]", "std_deg"),
+        ),
+        plot_pair("Match", ("Residual [m]", "residual"), ("Share of inliers", "inliers")),
     ]
     if has_truth:
-        plots.insert(0, plot_view("Error against truth", "error"))
+        plots.append(
+            plot_pair("Error", ("Distance from the truth [m]", "error_m"), ("Turn [degrees]", "error_deg"))
+        )
     texts = [
         rrb.TextDocumentView(origin="/doc/config", name="Legend and configuration"),
         rrb.TextLogView(origin="/log", name="Events"),
@@ -743,11 +907,11 @@ def _blueprint(centre: FloatArray, extent_m: float, *, has_truth: bool) -> "rrb.
         rrb.Horizontal(
             rrb.Tabs(map_view, graph_map, active_tab=0),
             rrb.Vertical(
-                rrb.Tabs(scan_view, rrb.GraphView(origin="/graph", name="Graph"), active_tab=0),
+                rrb.Tabs(scan_view, graph_view, active_tab=0),
                 rrb.Tabs(*plots, active_tab=0),
                 rrb.StateTimelineView(origin="/state", name="State of the match"),
                 rrb.Tabs(*texts, active_tab=0),
-                row_shares=[4, 3, 1, 2],
+                row_shares=[10, 8, 3, 6],
             ),
             column_shares=[3, 2],
         ),
@@ -774,12 +938,23 @@ def _uncorrected(last: StepResult, step: StepResult) -> FloatArray:
     return se2.compose(se2.compose(last.T_map_base, increment), innovation)
 
 
-def _axes(cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variances (k, 2) along the axes of (k, 2, 2) covariances, the larger first, and its angle [rad]."""
-    a, b, c = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+def _packed(cov: FloatArray) -> FloatArray:
+    """xx, xy, yy (k, 3) of covariances (k, 2, 2) or (k, 3, 3)."""
+    return np.column_stack([cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]])
+
+
+def _ellipses(packed_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Semi-axes (k, 2) of the 95% ellipses of covariances xx, xy, yy (k, 3), the longer first; its angle [rad]."""
+    a, b, c = packed_cov.T
     mean, spread = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
     variances = np.maximum(np.column_stack([mean + spread, mean - spread]), 0.0)
-    return variances, 0.5 * np.arctan2(2.0 * b, a - c)
+    return SIGMAS_95 * np.sqrt(variances), 0.5 * np.arctan2(2.0 * b, a - c)
+
+
+def _box(points: FloatArray) -> FloatArray:
+    """Low and high corner (2, 2) of the robot and most of the points (n, 2) around it [m]."""
+    low, high = np.percentile(points, [10.0, 90.0], axis=0) if len(points) else np.zeros((2, 2))
+    return np.array([np.minimum(low, -1.0), np.maximum(high, 1.0)])
 
 
 def _has_truth(step: StepResult) -> bool:

@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 MAP_HEIGHT_M = -0.05
 """Maps lie below all else."""
+EYE_DISTANCE = 1.03
+"""How far the viewer's eye must be to see a metre from below to above, with a little to spare [m]."""
+MIN_FRAME_M = 5.0
 
 
 class Sink:
@@ -156,24 +160,60 @@ def grid_map(grid: GridMap) -> "rr.GridMap":
 # -------------------------------------------------------------------------------------------------------- views
 
 
-def view_of(T_map_base: FloatArray, grid: GridMap) -> tuple[FloatArray, float]:
-    """Centre (2,) and extent [m] of the known map and a trajectory (n, 3) of at least one pose."""
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a view from above has to show.
+
+    Attributes
+    ----------
+    centre : (2,) array [m]
+    width_m : float
+        Along x.
+    height_m : float
+        Along y.
+    """
+
+    centre: FloatArray
+    width_m: float
+    height_m: float
+
+    @property
+    def extent_m(self) -> float:
+        """The longer side."""
+        return max(self.width_m, self.height_m)
+
+    @classmethod
+    def around(cls, box: FloatArray) -> "Frame":
+        """Make that of a low and a high corner (2, 2) [m]."""
+        width_m, height_m = (box[1] - box[0]).tolist()
+        return cls(0.5 * (box[0] + box[1]), width_m, height_m)
+
+    def eye(self, aspect: float, *, ahead_is_up: bool = False) -> "rrb.EyeControls3D":
+        """Look straight down so that it fits a view `aspect` times as wide as it is high; y points up, or else x."""
+        import rerun.blueprint as rrb
+
+        across, up = self.width_m, self.height_m
+        if ahead_is_up:
+            across, up = up, across
+        distance_m = EYE_DISTANCE * max(up, across / aspect, MIN_FRAME_M)
+        x, y = self.centre.tolist()
+        return rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(x, y, distance_m),
+            look_target=(x, y, 0.0),
+            eye_up=(1.0, 0.0, 0.0) if ahead_is_up else (0.0, 1.0, 0.0),
+        )
+
+
+def view_of(T_map_base: FloatArray, grid: GridMap) -> Frame:
+    """Frame the known map and a trajectory (n, 3) of at least one pose."""
     low, high = T_map_base[:, :2].min(axis=0), T_map_base[:, :2].max(axis=0)
     rows, cols = np.nonzero(np.isfinite(grid.p_occupied))
     if len(rows):
         corners = np.array([[cols.min(), rows.min()], [cols.max() + 1, rows.max() + 1]])
         corners_map = grid.origin + grid.resolution_m * corners
         low, high = np.minimum(low, corners_map[0]), np.maximum(high, corners_map[1])
-    return 0.5 * (low + high), max(5.0, float((high - low).max()))
-
-
-def eye_above(x: float, y: float, height: float, up: tuple[float, float, float]) -> "rrb.EyeControls3D":
-    """Look straight down on (x, y) [m] from a height [m]."""
-    import rerun.blueprint as rrb
-
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=(x, y, height), look_target=(x, y, 0.0), eye_up=up
-    )
+    return Frame.around(np.array([low, high]))
 
 
 def view_from_above(
@@ -211,11 +251,19 @@ def until_cursor(n_scans: int | None = None) -> "rrb.VisibleTimeRanges":
     )
 
 
-def plot_view(name: str, group: str) -> "rrb.TimeSeriesView":
-    """Lay out a plot of the lines below ``/plots/group``."""
+def plot_view(name: str, group: str, *, top: float | None = None) -> "rrb.TimeSeriesView":
+    """Lay out a plot of the lines below ``/plots/group``, from 0 to `top` where that is given."""
     import rerun.blueprint as rrb
 
-    return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name)
+    axis = None if top is None else rrb.ScalarAxis(range=(0.0, top))
+    return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name, axis_y=axis)
+
+
+def plot_pair(name: str, *plots: tuple[str, str]) -> "rrb.Vertical":
+    """Lay out plots of different units, name and group of each, one above the other."""
+    import rerun.blueprint as rrb
+
+    return rrb.Vertical(*(plot_view(title, group) for title, group in plots), name=name)
 
 
 def collapsed_panels() -> "tuple[rrb.TimePanel, rrb.SelectionPanel, rrb.BlueprintPanel]":

@@ -27,10 +27,13 @@ class PointToLineConfig:
     floor_std_m : float
         What no match counts better than in the pose graph, which takes the errors of its factors for independent;
         added per direction, a rotation counted at the mean distance of the points.
-    noise_std_m : float
-        Standard deviation of the part of a residual that is its own: the beam's noise and its map point's.
-    line_std_m : float
-        Of the part that all residuals on one line of the local map share, and with them the next scans.
+    noise_ratio : float
+        Standard deviation of the part of a residual that is its own, the beam's noise and its map point's, over the
+        scan's `residual_m`; scans with larger residuals have worse poses, in proportion.
+    line_ratio : float
+        The same of the part that all residuals on one line of the local map share, and with them the next scans.
+    least_residual_m : float
+        A smaller `residual_m` counts as this.
     line_gap_m : float
         Pairs that follow each other are on one line if the later one's map point is this near to it.
     common_std_m, common_std_rad : float
@@ -59,8 +62,9 @@ class PointToLineConfig:
 
     residual_std_m: float = 0.03
     floor_std_m: float = 0.004
-    noise_std_m: float = 0.018
-    line_std_m: float = 0.003
+    noise_ratio: float = 1.31
+    line_ratio: float = 0.21
+    least_residual_m: float = 0.008
     line_gap_m: float = 0.1
     common_std_m: float = 0.001
     common_std_rad: float = 0.0004
@@ -79,7 +83,8 @@ class PointToLineConfig:
     def __post_init__(self) -> None:
         for name in (
             "residual_std_m",
-            "noise_std_m",
+            "noise_ratio",
+            "least_residual_m",
             "kernel_scale_m",
             "min_step_m",
             "min_step_rad",
@@ -89,7 +94,7 @@ class PointToLineConfig:
                 raise ConfigError(f"point_to_line.{name} must be positive, not {getattr(self, name)}")
         for name in (
             "floor_std_m",
-            "line_std_m",
+            "line_ratio",
             "line_gap_m",
             "common_std_m",
             "common_std_rad",
@@ -234,6 +239,7 @@ def _judge(
 ) -> tuple[MatchResult, FloatArray, FloatArray]:
     """Tell converged, degenerate and failed apart, and give the match its covariance."""
     n_pairs, sum_weights, sum_squares = int(solution.stats[1]), solution.stats[2], solution.stats[3]
+    residual_m = float(np.sqrt(sum_squares / max(sum_weights, 1e-9)))
     reason = ""
     if n_pairs < config.min_pairs:
         reason = f"only {n_pairs} points found a partner"
@@ -281,8 +287,8 @@ def _judge(
             float(n_pairs),
             config.residual_std_m,
             config.floor_std_m,
-            config.noise_std_m,
-            config.line_std_m,
+            config.noise_ratio * max(residual_m, config.least_residual_m),
+            config.line_ratio * max(residual_m, config.least_residual_m),
             config.common_std_m,
             config.common_std_rad,
             config.kernel_scale_m,
@@ -320,7 +326,7 @@ def _judge(
         n_iterations=solution.iterations,
         n_correspondences=n_pairs,
         inlier_ratio=solution.inlier_ratio,
-        residual_m=float(np.sqrt(sum_squares / max(sum_weights, 1e-9))),
+        residual_m=residual_m,
         reason=reason,
     )
     return result, T, cov

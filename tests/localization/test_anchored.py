@@ -112,7 +112,7 @@ def test_poses_err_as_much_as_they_say() -> None:
         walls = np.vstack([EMPTY_ROOM, box(-5 + x, -3, -4 + x, -2.4), box(4.2, 2 - 0.5 * x, 5, 3 - 0.5 * x)])
         log = drive(N_SCANS, seed=seed, walls=walls, with_person=False)
         rng = np.random.default_rng(100 + seed)
-        for scan in log:  # walls seen aslant take half of it: about the default noise_std_m across them
+        for scan in log:
             scan.ranges[:] += rng.normal(0.0, 0.016, len(scan.ranges))
         steps, truth = steps_of(log)[0], truth_from_start(log)
         for step in steps[1:]:

@@ -27,7 +27,7 @@ TIGHT = np.diag([0.004, 0.003, 0.002]) ** 2
 LOOSE = np.diag([0.1, 0.1, 0.05]) ** 2
 CONFIG = PointToLineConfig()
 BEAM_STD_M = 0.018
-"""With map points as noisy and walls seen aslant, about the default `noise_std_m` across the lines."""
+NOISE_STD_M, LINE_STD_M = 0.018, 0.003
 
 
 def local_map_of(
@@ -232,8 +232,8 @@ def judge(
         n_pairs,
         config.residual_std_m,
         config.floor_std_m,
-        config.noise_std_m,
-        config.line_std_m,
+        NOISE_STD_M,
+        LINE_STD_M,
         config.common_std_m,
         config.common_std_rad,
         config.kernel_scale_m,
@@ -264,8 +264,8 @@ def judge_twin(
     project = B @ F.T
     pose_part = np.diag([config.common_std_m, config.common_std_m, config.common_std_rad]) ** 2
     fragile = B @ np.diag((config.kernel_scale_m * (config.fragile_pairs / values) ** 2) ** 2) @ B.T
-    own = config.noise_std_m**2 * pseudo @ white @ pseudo
-    shared = config.line_std_m**2 * pseudo @ common @ pseudo + project @ pose_part @ project.T
+    own = NOISE_STD_M**2 * pseudo @ white @ pseudo
+    shared = LINE_STD_M**2 * pseudo @ common @ pseudo + project @ pose_part @ project.T
     whole = F.T @ (own + shared + fragile) @ F
     graph = F @ np.diag(1.0 / (config.residual_std_m**2 / values + config.floor_std_m**2)) @ F.T
     return Judged(
