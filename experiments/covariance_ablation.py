@@ -129,8 +129,8 @@ def experiment(options: Options) -> None:
     _draw(of_path, options)
     notes = [
         f"Over noise: the {NOISE_SCENARIO} scenario, its odometry noise times the factor, {len(seeds)} paired seeds,"
-        " online labels, without loop closure (which bounds the absolute marginal): median [95% bootstrap interval]. p: paired"
-        " Wilcoxon of the IoU against the relative marginal, Holm's correction within a table.",
+        " online labels, without loop closure (which bounds the absolute marginal): median [95% bootstrap interval]."
+        " p: paired Wilcoxon of the IoU against the relative marginal, Holm's correction within a table.",
         f"Over the way: the {PATH_SCENARIO} scenario, {n_laps} laps, {len(path_seeds)} seeds. Figure:"
         " figures/covariance_over_path.png.",
     ]

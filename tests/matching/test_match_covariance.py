@@ -251,7 +251,13 @@ def judge(
 
 
 def judge_twin(
-    points: FloatArray, H: FloatArray, parts: list[FloatArray], n_pairs: float, config: PointToLineConfig
+    points: FloatArray,
+    H: FloatArray,
+    parts: list[FloatArray],
+    n_pairs: float,
+    config: PointToLineConfig,
+    noise_std_m: float = NOISE_STD_M,
+    line_std_m: float = LINE_STD_M,
 ) -> Judged:
     """In strong directions only: B (3, strong) leads from them, scaled to metres, to the tangent."""
     scale = np.diag([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(points**2, axis=1)))])
@@ -264,8 +270,8 @@ def judge_twin(
     project = B @ F.T
     pose_part = np.diag([config.common_std_m, config.common_std_m, config.common_std_rad]) ** 2
     fragile = B @ np.diag((config.kernel_scale_m * (config.fragile_pairs / values) ** 2) ** 2) @ B.T
-    own = NOISE_STD_M**2 * pseudo @ white @ pseudo
-    shared = LINE_STD_M**2 * pseudo @ common @ pseudo + project @ pose_part @ project.T
+    own = noise_std_m**2 * pseudo @ white @ pseudo
+    shared = line_std_m**2 * pseudo @ common @ pseudo + project @ pose_part @ project.T
     whole = F.T @ (own + shared + fragile) @ F
     graph = F @ np.diag(1.0 / (config.residual_std_m**2 / values + config.floor_std_m**2)) @ F.T
     return Judged(
@@ -361,8 +367,15 @@ def test_a_match_takes_all_its_covariances_from_there(rng: np.random.Generator) 
     pairs = pairs_of(scan, local_map, T)
     H = pairs.rows.T @ (pairs.weights[:, None] * pairs.rows)
     points = scan.points_base()[scan.is_valid()]
+    residual_m = max(result.residual_m, CONFIG.least_residual_m)
     twin = judge_twin(
-        points, H, list(scatter_twin(pairs, local_map, T)), len(np.unique(pairs.rows, axis=0)), CONFIG
+        points,
+        H,
+        list(scatter_twin(pairs, local_map, T)),
+        len(np.unique(pairs.rows, axis=0)),
+        CONFIG,
+        CONFIG.noise_ratio * residual_m,
+        CONFIG.line_ratio * residual_m,
     )
     assert (result.status, twin.n_weak) == ("converged", 0)
     np.testing.assert_allclose(result.information, twin.information, rtol=1e-6, atol=1.0)
@@ -393,7 +406,8 @@ def test_matches_on_noisy_keyframes_err_as_they_say(seed: int) -> None:
         T_local = se2.compose(local_map.anchor.T_local_base, result.T_ref_base)
         errors.append(se2.log(se2.between(T_local, T)))
         covs.append(result.cov)
-    assert 3.0 / 1.6 < anees_of(errors, covs) < 3.0 * 1.6
+    # cautious here: the lines of this room have no error of their own, as walls in the world have
+    assert 3.0 / 2.5 < anees_of(errors, covs) < 3.0 * 1.6
 
 
 @pytest.mark.parametrize("seed", [1, 2])
