@@ -95,6 +95,9 @@ def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
 
 def rotation(theta: npt.ArrayLike) -> FloatArray:
     """Rotation matrices (..., 2, 2) of angles (...) [rad]."""
+    if isinstance(theta, float):  # numpy's scalars as well
+        cos, sin = math.cos(theta), math.sin(theta)
+        return np.array([[cos, -sin], [sin, cos]])
     theta = np.asarray(theta, dtype=np.float64)
     c, s = np.cos(theta), np.sin(theta)
     return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from slammot_graph.errors import ConfigError
 from slammot_graph.types import BoolArray, FloatArray, IntArray
@@ -141,7 +140,8 @@ class Tracker:
         if not self.tracks and not len(centres):
             return []
         proven = np.ones(len(centres), dtype=np.bool_) if is_proven is None else is_proven
-        predicted = [self._predict(track, dt) for track in self.tracks]
+        F, Q = self._motion(dt)
+        predicted = [self._predict(track, dt, F, Q) for track in self.tracks]
         noise = centre_covs + self.config.centre_std_m**2 * np.eye(2)
         pairs = self._assign(predicted, centres, noise)
         joined = {
@@ -161,11 +161,14 @@ class Tracker:
         self.tracks = kept + begun
         return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
 
-    def _predict(self, track: Track, dt: float) -> Track:
+    def _motion(self, dt: float) -> tuple[FloatArray, FloatArray]:
+        """Transition (4, 4) and process noise (4, 4) over a time [s]."""
         F = np.eye(4)
         F[0, 2] = F[1, 3] = dt
         G = np.array([[dt * dt / 2, 0], [0, dt * dt / 2], [dt, 0], [0, dt]])
-        Q = self.config.acceleration_std_m_s2**2 * G @ G.T
+        return F, self.config.acceleration_std_m_s2**2 * G @ G.T
+
+    def _predict(self, track: Track, dt: float, F: FloatArray, Q: FloatArray) -> Track:
         return Track(
             track_id=track.track_id,
             state=F @ track.state,
@@ -184,6 +187,10 @@ class Tracker:
         S = np.array([track.cov[:2, :2] for track in tracks])[:, None] + noise[None]
         distance2 = np.einsum("tci,tcij,tcj->tc", offset, np.linalg.inv(S), offset)
         cost = np.where(distance2 <= self.config.gate, distance2, 1e6)
+        if cost.size == 1:
+            return [(0, 0)] if cost[0, 0] <= self.config.gate else []
+        from scipy.optimize import linear_sum_assignment  # half a second, not needed before there are tracks
+
         rows, cols = linear_sum_assignment(cost)
         return [(int(t), int(c)) for t, c in zip(rows, cols, strict=True) if cost[t, c] <= self.config.gate]
 
