@@ -33,7 +33,7 @@ from slammot_graph.motion import (
     probability_of_moving,
     reasons,
 )
-from slammot_graph.motion.hindsight import Judged, judge_in_hindsight
+from slammot_graph.motion.hindsight import Judged, Judgements, judge_in_hindsight
 from slammot_graph.result_types import GraphEdge, GridMap, MatchResult, StepResult, TrackState
 from slammot_graph.scan import Scan
 from slammot_graph.stopwatch import Stopwatch
@@ -171,7 +171,7 @@ class Pipeline:
         self.grid = OccupancyGrid(grid, window_m=window_m)
         self._node_views: list[_View] = []
         self.afterimage = Afterimage(config.afterimage)
-        self._judged: list[Judged] = []
+        self._judged = Judgements()
         self._n_times_lost = 0
         self._first_remembered = 0
         self._stopwatch = Stopwatch()

@@ -7,8 +7,10 @@ static points later is a wall after all, unless it belongs to an object that has
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
+import numpy.typing as npt
 
 from slammot_graph import se2
 from slammot_graph.grid import GridConfig, OccupancyGrid
@@ -16,7 +18,7 @@ from slammot_graph.motion import reasons
 from slammot_graph.motion.clusters import ClusterConfig
 from slammot_graph.motion.ellipse import Detection, MotionConfig, detect_moving
 from slammot_graph.motion.tracks import TrackConfig, Tracker
-from slammot_graph.scan import Scan
+from slammot_graph.scan import LaserModel, Scan
 from slammot_graph.types import BoolArray, FloatArray
 
 
@@ -50,6 +52,75 @@ class Judged:
     is_doubtful: bool
 
 
+class Judgements(Sequence[Judged]):
+    """What was decided about all scans of a run, packed: about 1 kB for a scan of 181 beams."""
+
+    def __init__(self) -> None:
+        self._packed: list[_Packed] = []
+
+    def append(self, item: Judged) -> None:
+        """Add the next scan's."""
+        masks = np.stack([item.is_valid, item.is_moving, item.is_wall, item.has_walked])
+        self._packed.append(
+            _Packed(
+                index=item.scan.index,
+                stamp=item.scan.stamp,
+                laser=item.scan.laser,
+                ranges=item.scan.ranges.astype(np.float32),
+                masks=np.packbits(masks, axis=1),
+                cov_relative=item.cov_relative.astype(np.float32),
+                window=item.window,
+                is_doubtful=item.is_doubtful,
+            )
+        )
+
+    @overload
+    def __getitem__(self, k: int) -> Judged: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> list[Judged]: ...
+
+    def __getitem__(self, k: int | slice) -> Judged | list[Judged]:
+        """Unpack one or several."""
+        if isinstance(k, slice):
+            return [item.unpack() for item in self._packed[k]]
+        return self._packed[k].unpack()
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
+class _Packed:
+    """A `Judged` with ranges of half the bits, its masks as bits, and nothing that a scan works out for itself."""
+
+    index: int
+    stamp: float
+    laser: LaserModel
+    ranges: npt.NDArray[np.float32]
+    masks: npt.NDArray[np.uint8]
+    cov_relative: npt.NDArray[np.float32]
+    window: int
+    is_doubtful: bool
+
+    def unpack(self) -> Judged:
+        n = len(self.ranges)
+        valid, moving, wall, walked = np.unpackbits(self.masks, axis=1, count=n).astype(np.bool_)
+        ranges = self.ranges.astype(np.float64)
+        return Judged(
+            scan=Scan(
+                index=self.index, stamp=self.stamp, ranges=ranges, laser=self.laser, T_odom_base=se2.IDENTITY
+            ),
+            is_valid=valid,
+            is_moving=moving,
+            is_wall=wall,
+            has_walked=walked,
+            cov_relative=self.cov_relative.astype(np.float64),
+            window=self.window,
+            is_doubtful=self.is_doubtful,
+        )
+
+
 def judge_in_hindsight(
     judged: Sequence[Judged],
     T_map_base: FloatArray,
@@ -79,7 +150,7 @@ def judge_in_hindsight(
     memory = OccupancyGrid(grid, window_m=window_m)
     tracker = Tracker(tracks)
     last_in_window = _last_in_window(judged)
-    labels: list[BoolArray] = [j.is_moving for j in judged]
+    labels: list[BoolArray] = [np.empty(0, dtype=np.bool_)] * n
     for k in range(n - 1, -1, -1):
         now = n - 1 - k
         item, T = judged[k], T_map_base[k]
