@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.ready-docs
 
-.PHONY: demo test docs format clean
+.PHONY: demo test bench docs format clean
 
 demo: $(READY)
 	$(BIN)/slammot-graph demo --output runs/demo
@@ -15,6 +15,9 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+bench: $(READY)
+	$(BIN)/python -m experiments.speed --gate
 
 docs: $(DOCS_READY)
 	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from slammot_graph import se2
 from slammot_graph.closure import _kernels
@@ -122,6 +121,8 @@ class PreparedSubmap:
         self.origin = seen.origin - below * CELL_M
         is_point = np.zeros(p.shape, dtype=np.bool_)
         is_point[cells[:, 1] + below[1], cells[:, 0] + below[0]] = True
+        from scipy.ndimage import maximum_filter
+
         is_beside = maximum_filter(is_point, size=3)
         with np.errstate(invalid="ignore"):
             is_free = p < 0.3
