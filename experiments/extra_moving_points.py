@@ -122,7 +122,7 @@ def experiment(options: Options) -> None:
         " `graph`: beams called moving that hit no injected person, and their share of all beams called moving."
         f" People of the log: within {recorded.NEAR_M:g} m of whoever walked {recorded.MIN_WAY_M:g} m in the run over"
         f" the log as recorded. Something that goes its way: its track got {MIN_WAY_M:g} m away. Furniture:"
-        f" called moving at one place (within {SAME_PLACE_M:g} m) at {MIN_VISITS} times at least {FAR_SCANS} scans apart."
+        f" called moving at one place (within {SAME_PLACE_M:g} m) at {MIN_VISITS} times, {FAR_SCANS} scans apart."
         " Figure: figures/extra_moving_points.png."
     ]
     columns = ["log", "on injected people", *SORTS]

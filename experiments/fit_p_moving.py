@@ -1,6 +1,7 @@
 """Fit the weights of p_moving: what speaks for a cluster against whether it was a person."""
 
 import sys
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -32,11 +33,11 @@ class _Watched(Pipeline):
         self.evidence: FloatArray = np.empty((0, len(NAMES)))
         self.detection: Detection | None = None
 
-    def _probability(self, scan: Scan, detection: Detection, matched: Estimate) -> FloatArray:
-        points, expected = scan.points(matched.T_local_base), self.tracker.expected(scan.stamp)
-        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, expected)
+    def _probability(self, scan: Scan, detection: Detection, matched: Estimate, hints: Any) -> FloatArray:
+        points = scan.points(matched.T_local_base)
+        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, hints.expected)
         self.detection = detection
-        return super()._probability(scan, detection, matched)
+        return super()._probability(scan, detection, matched, hints)
 
 
 def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: int) -> Scores:

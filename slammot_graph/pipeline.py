@@ -1,7 +1,7 @@
 """The step: predict, detect, match, graph, map, objects. One scan in, one `StepResult` out."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -41,6 +41,9 @@ from slammot_graph.types import BoolArray, FloatArray
 
 LEAST_KERNEL_FACTOR = 0.4
 """In a crowd the match's kernel gets narrower, down to this share of its scale."""
+
+SAME_CELLS = 0.2
+"""A match that moves the farthest points by less than this share of a cell leaves the test as it is."""
 
 MIN_NO_RETURN_RUN = 25
 """Neighbouring beams without a return that are taken for open space."""
@@ -147,6 +150,18 @@ class _View:
     is_static: BoolArray
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Hints:
+    """What the scans before tell the test: where tracked objects should be, and what is empty now (k, 2), local frame.
+
+    `T_local_base` is where the scan was predicted.
+    """
+
+    T_local_base: FloatArray
+    expected: FloatArray
+    emptied: FloatArray
+
+
 class Pipeline:
     """Localizes, maps and detects moving objects, one scan at a time.
 
@@ -185,12 +200,13 @@ class Pipeline:
             points_base = scan.points_base()
             predicted = self.localizer.predict(scan)
         with watch.stage("detect"):
-            detection = self._detect(scan, is_valid, predicted)
+            hints = self._hints(scan, is_valid, predicted)
+            detection = self._detect(scan, is_valid, predicted, hints)
         with watch.stage("match"):
             matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
-                detection = self._judge(scan, is_valid, predicted, detection, matched, match)
+                detection = self._judge(scan, is_valid, predicted, detection, matched, match, hints)
             share = np.count_nonzero(detection.is_moving) / max(int(np.count_nonzero(is_valid)), 1)
             if share > self.config.crowd_share:
                 with watch.stage("match"):
@@ -199,10 +215,10 @@ class Pipeline:
                         points_base, is_valid & ~detection.is_moving, factor
                     )
                 with watch.stage("detect"):
-                    detection = self._judge(scan, is_valid, predicted, detection, matched, match)
-        is_static = is_valid & ~detection.is_moving
+                    detection = self._judge(scan, is_valid, predicted, detection, matched, match, hints)
         with watch.stage("detect"):
-            p_moving = self._probability(scan, detection, matched)
+            p_moving = self._probability(scan, detection, matched, hints)
+        is_static = is_valid & ~detection.is_moving
         with watch.stage("graph"):
             node, events = self.localizer.commit(scan, points_base, is_static)
         if self.localizer.n_times_lost > self._n_times_lost:
@@ -294,18 +310,32 @@ class Pipeline:
         detection: Detection,
         matched: Estimate,
         match: MatchResult | None,
+        hints: _Hints,
     ) -> Detection:
         """Repeat the test at the matched pose, or stand back where the match does not deserve it.
 
-        A match refused as improbable leaves the prediction, and with it the test already made there.
+        A match refused as improbable leaves the prediction, and with it the test already made there; so does one that
+        moves no point by more than `SAME_CELLS` of a cell.
         """
         if match is not None and match.status == "failed":
             return detection if match.is_refused else detection.stand_back()
         if match is not None and match.nis > self.config.motion.stand_back_nis:
             return detection.stand_back()
-        return self._detect(scan, is_valid, matched)
+        way_m, turn_rad = se2.distance(hints.T_local_base, matched.T_local_base)
+        if way_m + turn_rad * self.config.max_range_m < SAME_CELLS * self.grid.config.resolution_m:
+            return detection
+        emptied = self.afterimage.emptied(scan, matched.T_local_base, is_valid)
+        return self._detect(scan, is_valid, matched, replace(hints, emptied=emptied))
 
-    def _detect(self, scan: Scan, is_valid: BoolArray, estimate: Estimate) -> Detection:
+    def _hints(self, scan: Scan, is_valid: BoolArray, predicted: Estimate) -> _Hints:
+        """What the scans before tell about this one, where it is predicted."""
+        return _Hints(
+            T_local_base=predicted.T_local_base,
+            expected=self.tracker.expected(scan.stamp),
+            emptied=self.afterimage.emptied(scan, predicted.T_local_base, is_valid),
+        )
+
+    def _detect(self, scan: Scan, is_valid: BoolArray, estimate: Estimate, hints: _Hints) -> Detection:
         if not self.config.filter_moving:
             return Detection.nothing(is_valid)
         return detect_moving(
@@ -316,15 +346,15 @@ class Pipeline:
             self.grid,
             self.config.motion,
             self.config.clusters,
-            self.tracker.expected(scan.stamp),
-            self.afterimage.emptied(scan, estimate.T_local_base, is_valid),
+            hints.expected,
+            hints.emptied,
             self.config.afterimage.reach_m,
         )
 
-    def _probability(self, scan: Scan, detection: Detection, matched: Estimate) -> FloatArray:
+    def _probability(self, scan: Scan, detection: Detection, matched: Estimate, hints: _Hints) -> FloatArray:
         """How probable it is that each beam hit something that moves."""
-        points, expected = scan.points(matched.T_local_base), self.tracker.expected(scan.stamp)
-        return probability_of_moving(detection, points, scan.ranges, self.grid, expected)
+        points = scan.points(matched.T_local_base)
+        return probability_of_moving(detection, points, scan.ranges, self.grid, hints.expected)
 
     def _remember(
         self,

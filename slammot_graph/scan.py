@@ -120,12 +120,8 @@ class Scan:
 
         Only runs of at least `min_run` neighbours count: single ones are more often dark or shiny surfaces.
         """
-        missing = np.asarray(self.ranges >= NO_RETURN_FRACTION * self.laser.range_max)
-        if min_run > 1 and missing.any():
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
-            for first, end in edges.reshape(-1, 2):
-                if end - first < min_run:
-                    missing[first:end] = False
+        missing = np.empty(len(self.ranges), dtype=np.bool_)
+        _runs_beyond(self.ranges, NO_RETURN_FRACTION * self.laser.range_max, min_run, missing)
         return missing
 
     def points_base(self) -> FloatArray:
@@ -151,3 +147,17 @@ def _end_points(ranges: FloatArray, origin: FloatArray, directions: FloatArray) 
         out[k, 0] = origin[0] + r * directions[k, 0]
         out[k, 1] = origin[1] + r * directions[k, 1]
     return out
+
+
+@kernel
+def _runs_beyond(ranges: FloatArray, limit: float, min_run: int, out: BoolArray) -> None:
+    """Mark in `out` the ranges of at least `limit` [m] that come in runs of at least `min_run`."""
+    first = 0
+    for k in range(ranges.shape[0]):
+        out[k] = ranges[k] >= limit
+        if not out[k]:
+            if k - first < min_run:
+                out[first:k] = False
+            first = k + 1
+    if ranges.shape[0] - first < min_run:
+        out[first:] = False

@@ -129,6 +129,13 @@ def log(T_a_b: FloatArray) -> FloatArray:
     return np.stack([a * x + half * y, -half * x + a * y, w], axis=-1)
 
 
+def distance(T_a_b: FloatArray, T_a_c: FloatArray) -> tuple[float, float]:
+    """How far apart two poses (3,) are: metres and radians."""
+    x, y, t = T_a_b.tolist()
+    u, v, w = T_a_c.tolist()
+    return math.hypot(u - x, v - y), abs((w - t + math.pi) % (2.0 * math.pi) - math.pi)
+
+
 def adjoint(T_a_b: FloatArray) -> FloatArray:
     """Adjoint matrices (..., 3, 3): ``T * exp(v) = exp(Ad_T v) * T``, order (x, y, theta)."""
     x, y, theta = T_a_b[..., 0], T_a_b[..., 1], T_a_b[..., 2]

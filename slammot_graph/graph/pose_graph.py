@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from slammot_graph.errors import ConfigError, SlammotError
-from slammot_graph.linalg import is_covariance
+from slammot_graph.linalg import eigh3, is_covariance
 from slammot_graph.result_types import EdgeKind, GraphEdge
 from slammot_graph.types import FloatArray
 
@@ -263,10 +263,12 @@ def _noise(edge: GraphEdge) -> gtsam.noiseModel.Gaussian:
     a, b = edge.information, edge.information.T
     if (np.abs(a - b) > 1e-8 + 1e-6 * np.abs(b)).any():
         raise SlammotError(f"the information of {name} is not symmetric")
-    values, vectors = np.linalg.eigh(edge.information)
-    if not values[-1] > 0.0 or values[0] < -1e-6 * values[-1]:
+    values, vectors = np.empty(3), np.empty((3, 3))
+    eigh3(edge.information, values, vectors)
+    largest = values.max()
+    if not largest > 0.0 or values.min() < -1e-6 * largest:
         raise SlammotError(f"the information of {name} is not positive semi-definite")
-    root = np.sqrt(np.maximum(values, 1e-9 * values[-1]))[:, None] * vectors.T
+    root = np.sqrt(np.maximum(values, 1e-9 * largest))[:, None] * vectors.T
     return gtsam.noiseModel.Gaussian.SqrtInformation(root)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
+from slammot_graph.linalg import eigh3
 from slammot_graph.matching import _kernels
 from slammot_graph.scan import LaserModel
 from slammot_graph.types import BoolArray, FloatArray
@@ -226,6 +227,7 @@ class LocalMap:
 
 def _root(cov: FloatArray) -> FloatArray:
     """A (3, 3) matrix whose square is the covariance, which may be zero."""
-    values, vectors = np.linalg.eigh(cov)
+    values, vectors = np.empty(3), np.empty((3, 3))
+    eigh3(cov, values, vectors)
     root: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     return root

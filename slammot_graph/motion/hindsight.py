@@ -60,14 +60,15 @@ class Judgements(Sequence[Judged]):
 
     def append(self, item: Judged) -> None:
         """Add the next scan's."""
-        masks = np.stack([item.is_valid, item.is_moving, item.is_wall, item.has_walked])
+        masks = 8 * item.has_walked.view(np.uint8) + 4 * item.is_wall.view(np.uint8)
+        masks += 2 * item.is_moving.view(np.uint8) + item.is_valid.view(np.uint8)
         self._packed.append(
             _Packed(
                 index=item.scan.index,
                 stamp=item.scan.stamp,
                 laser=item.scan.laser,
                 ranges=item.scan.ranges.astype(np.float32),
-                masks=np.packbits(masks, axis=1),
+                masks=masks,
                 cov_relative=item.cov_relative.astype(np.float32),
                 window=item.window,
                 is_doubtful=item.is_doubtful,
@@ -92,7 +93,7 @@ class Judgements(Sequence[Judged]):
 
 @dataclass(frozen=True, kw_only=True, eq=False, slots=True)
 class _Packed:
-    """A `Judged` with ranges of half the bits, its masks as bits, and nothing that a scan works out for itself."""
+    """A `Judged` with ranges of half the bits, its masks as bits, and nothing that a scan can work out."""
 
     index: int
     stamp: float
@@ -104,8 +105,7 @@ class _Packed:
     is_doubtful: bool
 
     def unpack(self) -> Judged:
-        n = len(self.ranges)
-        valid, moving, wall, walked = np.unpackbits(self.masks, axis=1, count=n).astype(np.bool_)
+        valid, moving, wall, walked = ((self.masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8))
         ranges = self.ranges.astype(np.float64)
         return Judged(
             scan=Scan(
