@@ -135,7 +135,7 @@ plt.show()
 # look at the numbers: between relative and absolute they may differ by no more than chance makes them.
 #
 # How much it matters depends on the way between closures. Over the first 2,500 scans of two real logs
-# (`experiments/tables/moving_points.md`, 20 paired seeds) the absolute marginal did as well as the relative one, on one
+# (`experiments/tables/moving_points.md`) the absolute marginal did as well as the relative one, on one
 # of them better. The paper's constant R_r found fewer of the moving points on both.
 #
 # And a covariance helps only as far as it is honest. If it is too small, walls begin to move.

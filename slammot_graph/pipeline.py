@@ -206,16 +206,14 @@ class Pipeline:
             matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
         if self.config.judge_again and match is not None:
             with watch.stage("detect"):
-                detection = self._judge(scan, is_valid, predicted, detection, matched, match, hints)
-            share = np.count_nonzero(detection.is_moving) / max(int(np.count_nonzero(is_valid)), 1)
-            if share > self.config.crowd_share:
+                detection = self._judge(scan, is_valid, detection, matched, match, hints)
+            factor = self._kernel_factor(detection, is_valid)
+            if factor < 1.0:
                 with watch.stage("match"):
-                    factor = max((1.0 - share) ** 2, LEAST_KERNEL_FACTOR)
-                    matched, match = self.localizer.match(
-                        points_base, is_valid & ~detection.is_moving, factor
-                    )
+                    is_static = is_valid & ~detection.is_moving
+                    matched, match = self.localizer.match(points_base, is_static, factor)
                 with watch.stage("detect"):
-                    detection = self._judge(scan, is_valid, predicted, detection, matched, match, hints)
+                    detection = self._judge(scan, is_valid, detection, matched, match, hints)
         with watch.stage("detect"):
             p_moving = self._probability(scan, detection, matched, hints)
         is_static = is_valid & ~detection.is_moving
@@ -302,11 +300,15 @@ class Pipeline:
             return estimate.cov_absolute
         return estimate.cov_relative
 
+    def _kernel_factor(self, detection: Detection, is_valid: BoolArray) -> float:
+        """How much narrower the match's kernel should be: in a crowd what is left may still be people; else 1."""
+        share = np.count_nonzero(detection.is_moving) / max(int(np.count_nonzero(is_valid)), 1)
+        return max((1.0 - share) ** 2, LEAST_KERNEL_FACTOR) if share > self.config.crowd_share else 1.0
+
     def _judge(
         self,
         scan: Scan,
         is_valid: BoolArray,
-        predicted: Estimate,
         detection: Detection,
         matched: Estimate,
         match: MatchResult | None,
