@@ -62,8 +62,8 @@ class PointToLineConfig:
 
     residual_std_m: float = 0.03
     floor_std_m: float = 0.004
-    noise_ratio: float = 1.27
-    line_ratio: float = 0.205
+    noise_ratio: float = 1.25
+    line_ratio: float = 0.2
     least_residual_m: float = 0.008
     line_gap_m: float = 0.1
     common_std_m: float = 0.001
