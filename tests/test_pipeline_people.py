@@ -1,15 +1,17 @@
 """People who walk where nothing was seen before, who stand, and poses too doubtful to tell."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 
-from slammot_graph import se2
+from slammot_graph import Run, se2
 from slammot_graph.errors import ConfigError
 from slammot_graph.motion import MotionConfig, TrackConfig, reasons
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.result_types import StepResult
+from slammot_graph.simulation import simulate
 from slammot_graph.types import FloatArray
 from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
 
@@ -123,3 +125,12 @@ def test_a_failed_match_calls_nothing_moving() -> None:
 def test_no_return_needs_a_distance(value: float) -> None:
     with pytest.raises(ConfigError, match=f"free_no_return_m must not be negative, not {value}"):
         PipelineConfig(free_no_return_m=value)
+
+
+def test_every_valid_beam_of_a_crowd_has_a_probability_and_a_reason_that_fits() -> None:
+    log = simulate("crowd", seed=0)
+    for step in islice(Run(log, "graph"), 120):
+        assert np.isfinite(step.p_moving[step.is_valid]).all()
+        assert (
+            np.isin(step.reason, (reasons.FREE, reasons.TRACKED, reasons.EMPTIED)) == step.is_moving
+        ).all()

@@ -12,6 +12,9 @@ from slammot_graph.motion.clusters import ClusterConfig, find_clusters
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
+MOVING_REASONS: BoolArray = np.isin(
+    np.arange(len(reasons.REASONS)), (reasons.FREE, reasons.TRACKED, reasons.EMPTIED)
+)
 CONSENSUS = 0.8
 """Share of the sigma points' weight at which a beam must be on free cells."""
 
@@ -221,6 +224,9 @@ def detect_moving(
             cluster, n_clusters = find_clusters(points, is_moving | is_near, groups)
             is_moving = cluster >= 0
             reason[is_near & ~is_moving] = reasons.DISCARDED
+    is_dropped = ~is_moving & MOVING_REASONS[reason]  # as when a wider group took them in
+    if is_dropped.any():
+        reason[is_dropped] = reasons.DISCARDED
     detection = Detection(
         is_moving=is_moving,
         reason=reason,
