@@ -187,7 +187,7 @@ def _draw(of_path: dict[str, list[Scores]], options: Options) -> None:
             values = np.array([score[key][:n_parts] for score in found], dtype=np.float64)
             axes.plot(way, np.nanmedian(values, axis=0), marker="o", markersize=3, label=COVARIANCES[name])
     recall.set_ylabel("recall of moving points, online")
-    size.set_ylabel("standard deviation of the position in the test [m]")
+    size.set_ylabel("position in the test, std [m]")
     size.set_yscale("log")
     for axes in (recall, size):
         axes.set_xlabel("way driven [m]")
