@@ -128,7 +128,7 @@ def test_no_return_needs_a_distance(value: float) -> None:
 
 
 def test_every_valid_beam_of_a_crowd_has_a_probability_and_a_reason_that_fits() -> None:
-    log = simulate("crowd", seed=0)
+    log = simulate("hall", seed=0, n_people=20)
     for step in islice(Run(log, "graph"), 120):
         assert np.isfinite(step.p_moving[step.is_valid]).all()
         assert (
