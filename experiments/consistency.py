@@ -10,12 +10,12 @@ from experiments.tables import Table, median_interval, number, write_tables
 from slammot_graph import Run, se2
 from slammot_graph.evaluation.consistency import (
     average_nees,
-    chi2_quantile,
-    nees,
-    pose_errors,
+    errors_to_anchor,
+    nees_and_coverage,
     run_consistency,
 )
 from slammot_graph.graph.odometry_noise import ConstantNoise
+from slammot_graph.linalg import covariance_of
 from slammot_graph.matching import PointToLineConfig
 from slammot_graph.simulation import simulate
 from slammot_graph.types import FloatArray
@@ -44,14 +44,10 @@ def cell(scenario: str, rate_hz: float | None, seed: int) -> Scores:
         information = np.zeros((3, 3))
         if step.match is not None and step.match.residual_m > 0.0:  # of residuals as large as they are
             information = (CAUTIOUS_STD_M / step.match.residual_m) ** 2 * step.match.hessian_information
-        hessian.append(np.linalg.inv(information + 1e-6 * np.eye(3)))
+        hessian.append(covariance_of(information))
     result = run.result()
     found = run_consistency(result)
-    anchors = result.anchor_scans
-    is_judged = (anchors >= 0) & (anchors != np.arange(len(anchors)))
-    truth = log.T_world_base
-    from_anchor = se2.between(truth[anchors[is_judged]], truth[is_judged])
-    errors = pose_errors(result.T_anchor_base[is_judged], from_anchor)
+    errors, is_judged = errors_to_anchor(result, log.T_world_base)
     constant = np.tile(ConstantNoise().covariance(se2.IDENTITY), (len(errors), 1, 1))
     return {
         "nis": found.nis_mean,
@@ -65,12 +61,8 @@ def cell(scenario: str, rate_hz: float | None, seed: int) -> Scores:
 
 
 def _judge(name: str, errors: FloatArray, cov: FloatArray) -> Scores:
-    values = nees(errors, cov)
-    values = values[np.isfinite(values)]
-    return {
-        f"{name} nees": float(values.mean()),
-        f"{name} covered": float((values <= chi2_quantile(0.95, 3)).mean()),
-    }
+    mean, covered = nees_and_coverage(errors, cov)
+    return {f"{name} nees": mean, f"{name} covered": covered}
 
 
 def experiment(options: Options) -> None:

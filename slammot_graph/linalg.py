@@ -25,6 +25,15 @@ def invert(matrix: FloatArray) -> FloatArray:
     return 0.5 * (inverse + inverse.T)
 
 
+def covariance_of(information: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of an information matrix that may be singular: huge in directions without any."""
+    return invert(information + _BARELY)
+
+
+_BARELY: FloatArray = 1e-6 * np.eye(3)
+_BARELY.setflags(write=False)
+
+
 @kernel
 def invert3(a: FloatArray, out: FloatArray) -> bool:
     """Fill `out` with the inverse of the symmetric matrix `a`, both (3, 3); False where it is singular."""

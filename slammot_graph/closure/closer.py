@@ -12,7 +12,7 @@ from slammot_graph.closure.joining import Vote, elect
 from slammot_graph.closure.submap import CELL_M, OCCUPIED_SCORE, PreparedSubmap, Submap
 from slammot_graph.errors import ConfigError
 from slammot_graph.graph import PoseGraph
-from slammot_graph.linalg import invert, mahalanobis2
+from slammot_graph.linalg import covariance_of, mahalanobis2
 from slammot_graph.matching import LocalMap, LocalMapConfig, PointToLineConfig, match_to_local_map
 from slammot_graph.result_types import ClosureAttempt, ClosureStatus, GraphEdge
 from slammot_graph.types import FloatArray
@@ -312,7 +312,7 @@ class LoopCloser:
             target=target,
             source=source,
             T_target_source=match.T_ref_base,
-            cov=invert(match.graph_information + 1e-6 * np.eye(3)),
+            cov=covariance_of(match.graph_information),
             information=match.graph_information,
         )
         return closure, ""

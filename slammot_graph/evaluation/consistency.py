@@ -10,7 +10,7 @@ from slammot_graph import se2
 from slammot_graph.errors import InputError
 from slammot_graph.evaluation.stats import ratio
 from slammot_graph.result_types import RunResult
-from slammot_graph.types import FloatArray
+from slammot_graph.types import BoolArray, FloatArray
 
 _SIGMAS_95 = 1.959963984540054
 
@@ -195,14 +195,12 @@ def run_consistency(result: RunResult) -> RunConsistency:
     nis = result.nis[np.isfinite(result.nis)]
     relative = in_map = (math.nan, math.nan)
     if result.T_world_base is not None:
-        truth, anchors = result.T_world_base, result.anchor_scans
-        is_judged = (anchors >= 0) & (anchors < len(truth)) & (anchors != np.arange(len(truth)))
-        from_anchor = se2.between(truth[anchors[is_judged]], truth[is_judged])
-        errors = pose_errors(result.T_anchor_base[is_judged], from_anchor)
-        relative = _nees_and_coverage(errors, result.cov_anchor_base[is_judged])
+        truth = result.T_world_base
+        errors, is_judged = errors_to_anchor(result, truth)
+        relative = nees_and_coverage(errors, result.cov_anchor_base[is_judged])
         T_map_world = se2.compose(result.T_map_base[0], se2.inverse(truth[0]))
         errors = pose_errors(result.T_map_base[1:], se2.compose(T_map_world[None, :], truth[1:]))
-        in_map = _nees_and_coverage(errors, result.cov_map[1:])
+        in_map = nees_and_coverage(errors, result.cov_map[1:])
     return RunConsistency(
         nis_mean=float(nis.mean()) if nis.size else math.nan,
         nis_above_95=float((nis > chi2_quantile(0.95, 3)).mean()) if nis.size else math.nan,
@@ -213,7 +211,22 @@ def run_consistency(result: RunResult) -> RunConsistency:
     )
 
 
-def _nees_and_coverage(errors: FloatArray, cov: FloatArray) -> tuple[float, float]:
+def errors_to_anchor(result: RunResult, T_world_base: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Errors (k, 3) of the poses relative to their local map's anchor, as of `pose_errors`.
+
+    Also tells which of the n scans have one (n,): those that were matched on a local map.
+    """
+    anchors = result.anchor_scans
+    is_judged = (anchors >= 0) & (anchors < len(T_world_base)) & (anchors != np.arange(len(T_world_base)))
+    from_anchor = se2.between(T_world_base[anchors[is_judged]], T_world_base[is_judged])
+    return pose_errors(result.T_anchor_base[is_judged], from_anchor), is_judged
+
+
+def nees_and_coverage(errors: FloatArray, cov: FloatArray) -> tuple[float, float]:
+    """Mean NEES of errors (n, k) under covariances (n, k, k), and the share within their 95% ellipsoid.
+
+    NaN over nothing.
+    """
     values = nees(errors, cov)
     values = values[np.isfinite(values)]
     if not values.size:

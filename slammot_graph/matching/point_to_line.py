@@ -6,13 +6,11 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
-from slammot_graph.linalg import invert, mahalanobis2
+from slammot_graph.linalg import covariance_of, invert, mahalanobis2
 from slammot_graph.matching import _kernels
 from slammot_graph.matching.local_map import LocalMap
 from slammot_graph.result_types import MatchResult, MatchStatus
 from slammot_graph.types import BoolArray, FloatArray
-
-_BARELY = 1e-6 * np.eye(3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,14 +308,18 @@ def _judge(
                 else f"{n_weak} of 3 directions are not determined"
             )
         innovation = se2.log(se2.between(T_predicted, T_free))
-        nis = mahalanobis2(innovation, cov_predicted + _invert(graph_information)) if n_weak < 3 else np.nan
+        nis = (
+            mahalanobis2(innovation, cov_predicted + covariance_of(graph_information))
+            if n_weak < 3
+            else np.nan
+        )
         _kernels.fuse(cov_predicted, cov_own_predicted, gain_information, cov_own, cov_map, cov)
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(
         status=match_status,
         T_ref_base=se2.between(local_map.anchor.T_local_base, T_free),
         innovation=innovation,
-        cov=_invert(information),
+        cov=covariance_of(information),
         information=information,
         graph_information=graph_information,
         hessian_information=gain_information,
@@ -330,8 +332,3 @@ def _judge(
         reason=reason,
     )
     return result, T, cov
-
-
-def _invert(information: FloatArray) -> FloatArray:
-    """Covariance of an information matrix that may be singular: huge in directions without any."""
-    return invert(information + _BARELY)

@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
-from slammot_graph.linalg import invert
+from slammot_graph.linalg import covariance_of
 from slammot_graph.matching import _kernels
 from slammot_graph.result_types import MatchResult
 from slammot_graph.types import BoolArray, FloatArray
@@ -102,7 +102,7 @@ def match_scans(
         status="converged",
         T_ref_base=T,
         innovation=se2.log(se2.between(T_start, T)),
-        cov=invert(information + 1e-6 * np.eye(3)),
+        cov=covariance_of(information),
         information=information,
         graph_information=information,
         hessian_information=information,
