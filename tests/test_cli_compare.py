@@ -9,9 +9,9 @@ import rerun as rr
 
 from slammot_graph import cli
 from slammot_graph.logs import write_npz_log
-from slammot_graph.simulation import simulate
 from tests.test_cli import assert_one_line, run
 from tests.test_recording import entries
+from tests.walkers import write_walkers
 
 N_SCANS = 40
 
@@ -25,12 +25,7 @@ def strict() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("log") / "walkers.npz"
-    arrays = simulate("two-walkers", seed=0).arrays()
-    for key in ("stamps", "ranges", "odometry", "poses", "is_moving", "object_id"):
-        arrays[key] = arrays[key][:N_SCANS]
-    write_npz_log(path, **arrays)
-    return path
+    return write_walkers(tmp_path_factory.mktemp("log") / "walkers.npz", N_SCANS)
 
 
 @pytest.fixture(scope="module")

@@ -16,10 +16,9 @@ from matplotlib.image import imread
 from scipy.ndimage import binary_dilation
 
 from slammot_graph import cli, colors
-from slammot_graph.logs import write_npz_log
 from slammot_graph.rerun_parts import viewer_executable
-from slammot_graph.simulation import simulate
 from slammot_graph.types import BoolArray, FloatArray
+from tests.walkers import write_walkers
 
 N_SCANS = 170
 """So many of two-walkers: straight on along x, then a turn to the left."""
@@ -197,12 +196,7 @@ def _assert_shown(pictures: Pictures, views: set[str]) -> None:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("log") / "walkers.npz"
-    arrays = simulate("two-walkers", seed=0).arrays()
-    for key in ("stamps", "ranges", "odometry", "poses", "is_moving", "object_id"):
-        arrays[key] = arrays[key][:N_SCANS]
-    write_npz_log(path, **arrays)
-    return path
+    return write_walkers(tmp_path_factory.mktemp("log") / "walkers.npz", N_SCANS)
 
 
 def _run(log: Path, output: Path, method: str, rerun: str) -> Path:
