@@ -148,6 +148,38 @@ class OccupancyGrid:
         value = np.where(inside & (self.stamp[i, j] >= self.oldest), self.log_odds[i, j], 0.0)
         return np.asarray(1.0 / (1.0 + np.exp(-value.astype(np.float64))))
 
+    def crop(self, centre: FloatArray, half_side_m: float) -> GridMap:
+        """Give the cells that a square touches; NaN where never seen, expired, or outside of a fixed grid.
+
+        Parameters
+        ----------
+        centre : (2,) array [m]
+            In the grid's frame.
+        half_side_m : float
+            Of a rolling grid at most half its window.
+
+        Returns
+        -------
+        GridMap
+            With its origin in the grid's frame.
+        """
+        low = np.floor((centre - half_side_m) * self.inv_resolution).astype(np.int64)
+        high = np.floor((centre + half_side_m) * self.inv_resolution).astype(np.int64)
+        i = np.arange(low[1], high[1] + 1) - self.row0
+        j = np.arange(low[0], high[0] + 1) - self.col0
+        stamp = self.stamp.take(i, axis=0, mode="wrap").take(j, axis=1, mode="wrap")
+        log_odds = self.log_odds.take(i, axis=0, mode="wrap").take(j, axis=1, mode="wrap")
+        is_seen = stamp >= max(self.oldest, 0)
+        if not self.is_rolling:
+            rows, cols = self.log_odds.shape
+            is_seen &= ((i >= 0) & (i < rows))[:, None] & ((j >= 0) & (j < cols))
+        p = 1.0 / (1.0 + np.exp(-log_odds.astype(np.float64)))
+        return GridMap(
+            p_occupied=np.where(is_seen, p, np.nan),
+            resolution_m=self.config.resolution_m,
+            origin=low.astype(np.float64) * self.config.resolution_m,
+        )
+
     def to_map(self) -> GridMap:
         """Crop a fixed grid to what was seen."""
         seen = (self.stamp >= max(self.oldest, 0)) & (not self.is_rolling)

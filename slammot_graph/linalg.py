@@ -30,7 +30,10 @@ def covariance_of(information: FloatArray) -> FloatArray:
     return invert(information + _BARELY)
 
 
-_BARELY: FloatArray = 1e-6 * np.eye(3)
+BARELY = 1e-6
+"""Information that every direction has, so that a matrix of it can be inverted [1/m^2, 1/rad^2]."""
+
+_BARELY: FloatArray = BARELY * np.eye(3)
 _BARELY.setflags(write=False)
 
 
@@ -50,6 +53,31 @@ def invert3(a: FloatArray, out: FloatArray) -> bool:
     out[1, 2] = out[2, 1] = (a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]) / determinant
     out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]) / determinant
     return True
+
+
+def fused(cov: FloatArray, information: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a prior with covariance `cov` taken together with information: ``inv(inv(cov) + I)``.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A matrix is singular.
+    """
+    out = np.empty((3, 3))
+    if not _fuse3(cov, information, out):
+        raise np.linalg.LinAlgError("Singular matrix")
+    return out
+
+
+@kernel
+def _fuse3(cov: FloatArray, information: FloatArray, out: FloatArray) -> bool:
+    whole = np.empty((3, 3))
+    if not invert3(cov, whole):
+        return False
+    for i in range(3):
+        for j in range(3):
+            whole[i, j] += information[i, j]
+    return invert3(whole, out)
 
 
 @kernel

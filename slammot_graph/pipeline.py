@@ -1,6 +1,8 @@
 """The step: predict, detect, match, graph, map, objects. One scan in, one `StepResult` out."""
 
 import math
+from array import array
+from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -31,9 +33,9 @@ from slammot_graph.motion import (
     Tracker,
     detect_moving,
     probability_of_moving,
-    reasons,
 )
-from slammot_graph.motion.hindsight import Judged, Judgements, judge_in_hindsight
+from slammot_graph.motion.hindsight import judge_in_hindsight
+from slammot_graph.motion.judgements import Judgements
 from slammot_graph.result_types import GraphEdge, GridMap, MatchResult, StepResult, TrackState
 from slammot_graph.scan import Scan
 from slammot_graph.stopwatch import Stopwatch
@@ -142,22 +144,9 @@ class PipelineConfig:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _View:
-    """What a node saw."""
-
-    scan: Scan
-    is_valid: BoolArray
-    is_static: BoolArray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Hints:
-    """What the scans before tell the test: where tracked objects should be, and what is empty now (k, 2), local frame.
+    """What the scans before tell the test: where tracked objects should be, and what is empty now (k, 2), local frame."""
 
-    `T_local_base` is where the scan was predicted.
-    """
-
-    T_local_base: FloatArray
     expected: FloatArray
     emptied: FloatArray
 
@@ -184,8 +173,10 @@ class Pipeline:
         window_m = 2.0 * config.max_range_m + 20.0 if config.matcher == "scan-to-map" else None
         grid = config.grid if window_m is None else config.local_grid
         self.grid = OccupancyGrid(grid, window_m=window_m)
-        self._node_views: list[_View] = []
+        self._node_scans = array("q")
+        self._in_window = deque[int](maxlen=config.n_window_keyframes)
         self.afterimage = Afterimage(config.afterimage)
+        self._looks_back = config.hindsight and config.filter_moving
         self._judged = Judgements()
         self._n_times_lost = 0
         self._first_remembered = 0
@@ -195,38 +186,40 @@ class Pipeline:
         """Take in the next scan."""
         watch = self._stopwatch
         watch.restart()
-        with watch.stage("predict"):
-            is_valid = scan.is_valid(self.config.max_range_m)
-            points_base = scan.points_base()
-            predicted = self.localizer.predict(scan)
-        with watch.stage("detect"):
-            hints = self._hints(scan, is_valid, predicted)
-            detection = self._detect(scan, is_valid, predicted, hints)
-        with watch.stage("match"):
-            matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
+        is_valid = scan.is_valid(self.config.max_range_m)
+        points_base = scan.points_base()
+        predicted = self.localizer.predict(scan)
+        watch.lap("predict")
+        hints = self._hints(scan, is_valid, predicted)
+        detection = self._detect(scan, is_valid, predicted, hints)
+        watch.lap("detect")
+        matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
+        watch.lap("match")
         if self.config.judge_again and match is not None:
-            with watch.stage("detect"):
-                detection = self._judge(scan, is_valid, detection, matched, match, hints)
+            first, T_tested = detection, predicted.T_local_base
+            detection = self._judge(scan, is_valid, first, T_tested, matched, match, hints)
             factor = self._kernel_factor(detection, is_valid)
             if factor < 1.0:
-                with watch.stage("match"):
-                    is_static = is_valid & ~detection.is_moving
-                    matched, match = self.localizer.match(points_base, is_static, factor)
-                with watch.stage("detect"):
-                    detection = self._judge(scan, is_valid, detection, matched, match, hints)
-        with watch.stage("detect"):
-            p_moving = self._probability(scan, detection, matched, hints)
+                watch.lap("detect")
+                T_tested = T_tested if detection is first else matched.T_local_base
+                matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving, factor)
+                watch.lap("match")
+                detection = self._judge(scan, is_valid, detection, T_tested, matched, match, hints)
+        points = scan.points(matched.T_local_base)
+        p_moving = probability_of_moving(detection, points, scan.ranges, self.grid, hints.expected)
         is_static = is_valid & ~detection.is_moving
-        with watch.stage("graph"):
-            node, events = self.localizer.commit(scan, points_base, is_static)
+        watch.lap("detect")
+        node, events = self.localizer.commit(scan, points_base, is_static)
         if self.localizer.n_times_lost > self._n_times_lost:
             self._forget(scan)
-        with watch.stage("map"):
-            self._update_map(scan, points_base, is_valid, is_static, matched, node)
-        with watch.stage("objects"):
-            tracks = self._track(scan, detection, matched)
-        self._remember(scan, is_valid, detection, matched, match)
-        self.afterimage.remember(scan, matched.T_local_base, is_valid)
+        watch.lap("graph")
+        self._update_map(scan, points, is_valid, is_static, matched, node)
+        watch.lap("map")
+        tracks = self._track(scan, detection, points)
+        is_doubtful = match is not None and match.status == "failed"
+        self._remember(scan, is_valid, detection, matched, is_doubtful)
+        self.afterimage.remember(scan.stamp, matched.T_local_base, points, is_valid)
+        watch.lap("objects")
         T_map_local = self.localizer.T_map_local
         return StepResult(
             scan=scan,
@@ -254,7 +247,7 @@ class Pipeline:
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
         """Judge every scan again at its optimised pose (n, 3); None for a method that does not look back."""
-        if not (self.config.hindsight and self.config.filter_moving):
+        if not self._looks_back:
             return None
         return judge_in_hindsight(
             self._judged,
@@ -279,18 +272,31 @@ class Pipeline:
         if not self.grid.is_rolling:
             return self.grid.to_map()
         grid = OccupancyGrid(self.config.grid)
-        for number, (view, T_map_base) in enumerate(
-            zip(self._node_views, self.nodes_and_edges()[0], strict=False)  # a step cut short has no view
-        ):
-            ends, is_beam = _beams(view.scan, view.scan.points_base(), view.is_valid, 0.0)
-            ends = se2.transform(T_map_base, ends)
-            is_hit = view.is_valid if self.config.occupy_with_moving else view.is_static
-            grid.update(number, ends[0], ends[1:], is_beam, is_hit, view.is_valid & ~is_hit)
+        for number, T_map_base in zip(self._node_scans, self.nodes_and_edges()[0], strict=False):
+            if number == len(self._judged):  # the scan at which a run was cut short
+                break
+            seen = self._judged[number]
+            origin = se2.transform(T_map_base, seen.scan.laser.origin_base[None])[0]
+            is_static = seen.is_valid & ~seen.is_moving
+            is_hit = seen.is_valid if self.config.occupy_with_moving else is_static
+            grid.update(
+                number, origin, seen.scan.points(T_map_base), seen.is_valid, is_hit, seen.is_valid & ~is_hit
+            )
         return grid.to_map()
 
+    def crop_test_grid(self, centre_map: FloatArray, half_side_m: float) -> tuple[GridMap, FloatArray]:
+        """Give the test's grid as it is now around a place (2,) of the map [m]: as the next scan's test sees it.
+
+        Its origin is in the local frame; the second is that frame's pose (3,) in the map.
+        """
+        T_map_local = self.localizer.T_map_local
+        centre = se2.transform(se2.inverse(T_map_local), centre_map[None])[0]
+        return self.grid.crop(centre, half_side_m), T_map_local
+
     def close(self) -> None:
-        """Release the pose graph's thread."""
+        """Release the pose graph's thread and the temporary file of the scans."""
         self.localizer.close()
+        self._judged.close()
 
     def _test_covariance(self, estimate: Estimate) -> FloatArray:
         """Pose covariance that the moving-point test uses."""
@@ -310,20 +316,21 @@ class Pipeline:
         scan: Scan,
         is_valid: BoolArray,
         detection: Detection,
+        T_tested: FloatArray,
         matched: Estimate,
         match: MatchResult | None,
         hints: _Hints,
     ) -> Detection:
         """Repeat the test at the matched pose, or stand back where the match does not deserve it.
 
-        A match refused as improbable leaves the prediction, and with it the test already made there; so does one that
-        moves no point by more than `SAME_CELLS` of a cell.
+        A match refused as improbable leaves the prediction, and with it the test already made there, at `T_tested`;
+        so does one that moves no point by more than `SAME_CELLS` of a cell.
         """
         if match is not None and match.status == "failed":
             return detection if match.is_refused else detection.stand_back()
         if match is not None and match.nis > self.config.motion.stand_back_nis:
             return detection.stand_back()
-        way_m, turn_rad = se2.distance(hints.T_local_base, matched.T_local_base)
+        way_m, turn_rad = se2.distance(T_tested, matched.T_local_base)
         if way_m + turn_rad * self.config.max_range_m < SAME_CELLS * self.grid.config.resolution_m:
             return detection
         emptied = self.afterimage.emptied(scan, matched.T_local_base, is_valid)
@@ -331,8 +338,9 @@ class Pipeline:
 
     def _hints(self, scan: Scan, is_valid: BoolArray, predicted: Estimate) -> _Hints:
         """What the scans before tell about this one, where it is predicted."""
+        if not self.config.filter_moving:
+            return _Hints(expected=_NOWHERE, emptied=_NOWHERE)
         return _Hints(
-            T_local_base=predicted.T_local_base,
             expected=self.tracker.expected(scan.stamp),
             emptied=self.afterimage.emptied(scan, predicted.T_local_base, is_valid),
         )
@@ -353,36 +361,22 @@ class Pipeline:
             self.config.afterimage.reach_m,
         )
 
-    def _probability(self, scan: Scan, detection: Detection, matched: Estimate, hints: _Hints) -> FloatArray:
-        """How probable it is that each beam hit something that moves."""
-        points = scan.points(matched.T_local_base)
-        return probability_of_moving(detection, points, scan.ranges, self.grid, hints.expected)
-
     def _remember(
-        self,
-        scan: Scan,
-        is_valid: BoolArray,
-        detection: Detection,
-        matched: Estimate,
-        match: MatchResult | None,
+        self, scan: Scan, is_valid: BoolArray, detection: Detection, matched: Estimate, is_doubtful: bool
     ) -> None:
-        """Keep what the final labels need."""
-        if not (self.config.hindsight and self.config.filter_moving):
+        """Keep what the final labels and the map of the nodes' scans need."""
+        if not (self._looks_back or self.grid.is_rolling):
             return
-        has_walked = np.zeros(len(is_valid), dtype=np.bool_)
-        for track in self.tracker.walked():
-            has_walked[track.beams] = True
-        kept = Judged(
-            scan=scan,
+        self._judged.append(
+            scan,
             is_valid=is_valid,
             is_moving=detection.is_moving,
-            is_wall=detection.reason == reasons.OCCUPIED,
-            has_walked=has_walked,
+            reason=detection.reason,
+            walked=[track.beams for track in self.tracker.walked()],
             cov_relative=self._test_covariance(matched),
             window=self.grid.oldest,
-            is_doubtful=match is not None and match.status == "failed",
+            is_doubtful=is_doubtful,
         )
-        self._judged.append(kept)
 
     def _forget(self, scan: Scan) -> None:
         """The robot is lost: what the test remembers lies elsewhere."""
@@ -393,7 +387,7 @@ class Pipeline:
     def _update_map(
         self,
         scan: Scan,
-        points_base: FloatArray,
+        points: FloatArray,
         is_valid: BoolArray,
         is_static: BoolArray,
         matched: Estimate,
@@ -401,31 +395,43 @@ class Pipeline:
     ) -> None:
         """Static points occupy, all beams free the cells they cross."""
         if node is not None:
-            self._node_views.append(_View(scan=scan, is_valid=is_valid, is_static=is_static))
-            first_in_window = self._node_views[-self.config.n_window_keyframes :][0].scan.index
-            self.grid.oldest = max(first_in_window, self._first_remembered)
-        ends, is_beam = _beams(scan, points_base, is_valid, self.config.free_no_return_m)
-        ends = se2.transform(matched.T_local_base, ends)
+            self._node_scans.append(len(self._judged))
+            self._in_window.append(scan.index)
+            self.grid.oldest = max(self._in_window[0], self._first_remembered)
+        T = matched.T_local_base
+        ends, is_beam = points, is_valid
+        if self.config.free_no_return_m > 0.0:
+            is_missing = scan.is_no_return(MIN_NO_RETURN_RUN)
+            if is_missing.any():
+                reach_m = min(self.config.free_no_return_m, scan.laser.range_max)
+                far = scan.laser.origin_base + reach_m * scan.laser.directions_base
+                ends = np.where(is_missing[:, None], se2.transform(T, far), points)
+                is_beam = is_valid | is_missing
+        origin = se2.transform(T, scan.laser.origin_base[None])[0]
         is_hit = is_valid if self.config.occupy_with_moving else is_static
-        self.grid.update(scan.index, ends[0], ends[1:], is_beam, is_hit, is_valid & ~is_hit)
+        self.grid.update(scan.index, origin, ends, is_beam, is_hit, is_valid & ~is_hit)
 
-    def _track(self, scan: Scan, detection: Detection, matched: Estimate) -> tuple[TrackState, ...]:
+    def _track(self, scan: Scan, detection: Detection, points: FloatArray) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
-        points = scan.points(matched.T_local_base)
         tracks = self.tracker.update(scan.stamp, *detection.clusters(points))
+        if not tracks:
+            return ()
         T_map_local = self.localizer.T_map_local
         R = se2.rotation(T_map_local[2])
+        turned = np.array([track.state for track in tracks]).reshape(-1, 2, 2) @ R.T  # rows: place, velocity
+        places = turned[:, 0] + T_map_local[:2]
+        covs = R @ np.array([track.cov for track in tracks])[:, :2, :2] @ R.T
         return tuple(
             TrackState(
                 track_id=track.track_id,
-                position=se2.transform(T_map_local, track.state[None, :2])[0],
-                velocity=R @ track.state[2:],
-                position_cov=R @ track.cov[:2, :2] @ R.T,
+                position=place,
+                velocity=velocity,
+                position_cov=cov,
                 beams=track.beams,
             )
-            for track in tracks
+            for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
         )
 
 
@@ -444,18 +450,4 @@ def _make_localizer(config: PipelineConfig) -> Localizer:
     )
 
 
-def _beams(
-    scan: Scan, points_base: FloatArray, is_valid: BoolArray, free_no_return_m: float
-) -> tuple[FloatArray, BoolArray]:
-    """Laser and beam ends (1 + n, 2) in the base frame, and which beams (n,) free the cells they cross.
-
-    A beam without a return ends `free_no_return_m` away; with 0 it tells nothing.
-    """
-    is_beam = is_valid
-    is_missing = scan.is_no_return(MIN_NO_RETURN_RUN) if free_no_return_m > 0.0 else is_valid
-    if free_no_return_m > 0.0 and is_missing.any():
-        reach_m = min(free_no_return_m, scan.laser.range_max)
-        far = scan.laser.origin_base + reach_m * scan.laser.directions_base
-        points_base = np.where(is_missing[:, None], far, points_base)
-        is_beam = is_valid | is_missing
-    return np.concatenate([scan.laser.origin_base[None], points_base]), is_beam
+_NOWHERE: FloatArray = np.empty((0, 2))

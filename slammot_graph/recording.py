@@ -31,6 +31,8 @@ from slammot_graph.rerun_parts import (
     Sink,
     Times,
     at_height,
+    cell_colors,
+    cell_columns,
     collapsed_panels,
     grid_map,
     plot_pair,
@@ -76,6 +78,14 @@ LABELS_BELOW_M = 30.0
 """In a larger map the tracks' numbers would cover each other; beside the robot they are always shown."""
 MAP_SHARE, GRAPH_SHARE = 0.15, 0.10
 """What maps and graphs may add to the bytes of the scans: the larger they grow, the rarer they are logged."""
+CELLS_HALF_SIDE_M = 10.0
+"""How far to each side of the robot cells of the test can be shown, along the axes of the local frame."""
+CELLS_MARGIN_M = 1.0
+"""How far around the moving points they are shown."""
+CELLS_HEIGHT_M = -0.045
+"""Above the map, below all else."""
+CELLS_SHARE, CELLS_HEAD_START = 1.0, 4 << 20
+"""What they may add to the bytes of the scans, neither compressed, and how many bytes more."""
 RENEWAL_SHARE = 0.1
 """Maps and graphs are logged when the run has grown by this share: all of them together cost a fixed time a scan."""
 NIS_BOUND_95 = 7.81
@@ -96,6 +106,8 @@ STATIC, MOVING, DOUBTFUL = 1, 2, 3
 """Classes of points; doubtful are those called static although they more probably moved."""
 COLOR_DOUBTFUL, COLOR_RECENT = 0xF2A900FF, 0x4A4A4AFF
 COLOR_MOVED, COLOR_POSE_COV = 0xF29B94FF, 0x003A70FF
+COLOR_CELLS = (0xCFC4E6FF, 0xD5EFD0FF, 0xD0B080FF)
+"""Of cells of the test: unknown, free, occupied; light, so that points and ellipses stand out."""
 
 LEGEND = """
 | in the map | |
@@ -106,6 +118,8 @@ LEGEND = """
 | amber points | static by the decision, though `p_moving` is above one half |
 | red points, red ellipses | points that move, with the 95% covariance that the test used |
 | light red points | those of the last scans |
+| pale green, tan, lilac squares | around moving points: free, occupied, unknown cells of the test's own grid |
+| | as the scan before left them, so the test saw them; in the view of the scan only |
 | thin blue ellipses | the same covariance of every tenth static point |
 | blue line, dark blue ellipse | estimated path, 95% of the robot's position |
 | dark blue dot on the path | the scan that the local map hangs on |
@@ -117,8 +131,9 @@ LEGEND = """
 | grey lines | those last refused, hidden unless you switch `closures/refused` on |
 | brown and cyan line | for some scans: the graph before and after a closure |
 
-Click a point, or an ellipse, twice to read its `beam`, `p_moving`, the `reason` of the decision and the semi-axes of
-its 95% ellipse; click a loop closure to read why. The panel for it opens with the button at the top right.
+Zoom in on a red ellipse in the scan's view to see the cells that it covers. Click a point, or an ellipse, twice to
+read its `beam`, `p_moving`, the `reason` of the decision and the semi-axes of its 95% ellipse; click a loop closure to
+read why. The panel for it opens with the button at the top right.
 """
 
 
@@ -130,6 +145,10 @@ class RunLog(Protocol):
         """Whether a map is due now; ask before making one."""
 
     @property
+    def wants_cells(self) -> bool:
+        """Whether the cells of the moving-point test are due; ask before each `log_step`, also for the one after it."""
+
+    @property
     def wants_graph(self) -> bool:
         """Whether the graph is due now; ask before collecting it."""
 
@@ -139,6 +158,22 @@ class RunLog(Protocol):
 
     def log_step(self, step: StepResult) -> None:
         """Log one scan's outcome, of every scan from the first; its arrays must not change afterwards."""
+
+    def log_cells(self, cells: GridMap, T_map_local: FloatArray, limits: tuple[float, float]) -> None:
+        """Keep the test's grid around the robot as a step left it; call it before that step's `log_step`.
+
+        The test of a scan sees the grid as the scan before left it. So `log_step` shows the cells that were kept
+        with the step before, where its own `T_map_local` places them.
+
+        Parameters
+        ----------
+        cells : GridMap
+            In the local frame.
+        T_map_local : (3,) array
+            Pose of the local frame in the map.
+        limits : (float, float)
+            Below the first probability a cell is free, above the second occupied, between them unknown.
+        """
 
     def log_map(self, grid: GridMap) -> None:
         """Log the map as it is after the last step."""
@@ -159,11 +194,15 @@ class RunLog(Protocol):
 class NoRunLog:
     """The log of a run that is not recorded: does nothing and does not import rerun."""
 
+    wants_cells = False
     wants_map = False
     wants_graph = False
     wants_nodes = False
 
     def log_step(self, step: StepResult) -> None:
+        """Do nothing."""
+
+    def log_cells(self, cells: GridMap, T_map_local: FloatArray, limits: tuple[float, float]) -> None:
         """Do nothing."""
 
     def log_map(self, grid: GridMap) -> None:
@@ -208,12 +247,19 @@ class RerunLog:
         self._rec = self._sink.rec
         self._scans_per_send = SCANS_PER_SEND_LIVE if spawn else SCANS_PER_SEND
         self._steps: list[StepResult] = []
+        self._patches: list[_Patch | None] = []  # one a step
+        self._cells: _Cells | None = None  # as the step that comes next left them
+        self._cells_before: _Cells | None = None  # as the last step left them
         self._tried: list[_Tried] = []
         self._nodes: list[FloatArray] = []  # as they were last told, or else as each was when it was added
         self._nodes_before: FloatArray | None = None
         self._last_step: StepResult | None = None
         self._sent = _Sent()
-        self._budget = {"map": _Budget(MAP_SHARE, 20), "graph": _Budget(GRAPH_SHARE, 50)}
+        self._budget = {
+            "map": _Budget(MAP_SHARE, 20),
+            "graph": _Budget(GRAPH_SHARE, 50),
+            "cells": _Budget(CELLS_SHARE, 1, renewal=0.0, head_start=CELLS_HEAD_START),
+        }
         self._scan_boxes: list[FloatArray] = []
         self._n_scans = 0
         self._is_open = True
@@ -227,6 +273,11 @@ class RerunLog:
     def wants_map(self) -> bool:
         """Whether a map is due now."""
         return self._budget["map"].is_due(self._n_scans, self._sent.n_bytes)
+
+    @property
+    def wants_cells(self) -> bool:
+        """Whether the cells of the moving-point test are due."""
+        return self._budget["cells"].is_due(self._n_scans, self._sent.n_bytes)
 
     @property
     def wants_graph(self) -> bool:
@@ -246,10 +297,15 @@ class RerunLog:
                 self._send_blueprint(Frame(step.T_map_base[:2], 15.0, 15.0), has_truth=_has_truth(step))
         self._follow_graph(step)
         self._steps.append(step)
+        self._patches.append(self._cut_patch(step))
         self._last_step = step
         self._n_scans += 1
         if len(self._steps) >= self._scans_per_send:
             self._send_steps()
+
+    def log_cells(self, cells: GridMap, T_map_local: FloatArray, limits: tuple[float, float]) -> None:
+        """Keep the test's grid around the robot as the step that is logged next left it."""
+        self._cells = _Cells(cells, T_map_local, limits)
 
     def log_map(self, grid: GridMap) -> None:
         """Log the map as it is after the last step."""
@@ -338,6 +394,26 @@ class RerunLog:
         if has_closed and self._nodes_before is None:
             self._nodes_before = np.array(self._nodes)
 
+    def _cut_patch(self, step: StepResult) -> "_Patch | None":
+        """Cut out the cells that the test saw around a step's moving points; None where there are none of either."""
+        before, now = self._cells_before, self._cells
+        self._cells_before, self._cells = now, None
+        if before is None or now is None or self._last_step is None or not step.is_moving.any():
+            return None
+        points = step.scan.points(se2.between(now.T_map_local, step.T_map_base))[step.is_moving]
+        cells = _around(before.grid, points)
+        if cells.p_occupied.size == 0:
+            return None
+        corner = se2.transform(now.T_map_local, cells.origin[None])[0]
+        patch = _Patch(
+            colors=cell_colors(cells, before.limits, COLOR_CELLS),
+            T_map_corner=np.append(corner, now.T_map_local[2]),
+            resolution_m=cells.resolution_m,
+            after_scan=self._last_step.scan.index,
+        )
+        self._budget["cells"].spend(self._n_scans, patch.colors.nbytes)
+        return patch
+
     # ---------------------------------------------------------------- sending
 
     def _send_steps(self) -> None:
@@ -345,8 +421,10 @@ class RerunLog:
         if not self._steps:
             return
         steps, self._steps = self._steps, []
+        patches, self._patches = self._patches, []
         with self._sink.errors():
             self._send_scans(steps)
+            self._send_cells(patches, _times(steps))
             self._send_paths(steps)
             self._send_tracks([step.tracks for step in steps], _times(steps))
             self._send_plots(steps)
@@ -423,6 +501,22 @@ class RerunLog:
         one = np.ones(n_rows, dtype=np.int64)
         self._send_ellipses("/world/estimate/cov", times, T_map_base[:, :2], ellipses, one, 0.02)
         self._send_anchors(steps)
+
+    def _send_cells(self, patches: "list[_Patch | None]", times: Times) -> None:
+        """Send the cells that the test saw; where there are none, what was shown before goes."""
+        import pyarrow as pa  # type: ignore[import-untyped]
+        import rerun as rr
+
+        kept = [patch for patch in patches if patch is not None]
+        columns = cell_columns(
+            [patch.colors for patch in kept],
+            np.array([patch.T_map_corner for patch in kept]).reshape(-1, 3),
+            [patch.resolution_m for patch in kept],
+            CELLS_HEIGHT_M,
+        )
+        after = rr.AnyValues.columns(after_scan=pa.array([patch.after_scan for patch in kept], pa.int64()))
+        lengths = np.array([patch is not None for patch in patches], dtype=np.int64)
+        self._send_batches("/world/cells", times, rr.ComponentColumnList([*columns, *after]), lengths)
 
     def _send_anchors(self, steps: list[StepResult]) -> None:
         """Send the place of the scan that the local map hangs on, where it changes."""
@@ -689,7 +783,7 @@ class _Why:
 
     def columns(self) -> "rr.ComponentColumnList":
         """Give them as columns; rerun would turn anything but arrow arrays into lists, number by number."""
-        import pyarrow as pa  # type: ignore[import-untyped]
+        import pyarrow as pa
         import rerun as rr
 
         from slammot_graph.motion import REASONS
@@ -703,6 +797,25 @@ class _Why:
             ellipse_long_mm=pa.array(semi_mm[:, 0]),
             ellipse_short_mm=pa.array(semi_mm[:, 1]),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The test's grid around the robot in the local frame, where that lies in the map, and the limits of its states."""
+
+    grid: GridMap
+    T_map_local: FloatArray
+    limits: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Patch:
+    """Cells to be shown, uint8 (rows, cols, 3), where their lower left corner lies, and which scan left them so."""
+
+    colors: Any
+    T_map_corner: FloatArray
+    resolution_m: float
+    after_scan: int
 
 
 class _Sent:
@@ -722,17 +835,26 @@ class _Sent:
 class _Budget:
     """Says when something big is due, so that all of it stays a share of the scans' bytes."""
 
-    def __init__(self, share: float, n_scans_between: int) -> None:
+    def __init__(
+        self,
+        share: float,
+        n_scans_between: int,
+        *,
+        renewal: float = RENEWAL_SHARE,
+        head_start: float = 0.0,
+    ) -> None:
         self._share = share
         self._n_scans_between = n_scans_between
+        self._renewal = renewal
+        self._head_start = head_start
         self._n_bytes = 0.0
         self._last_n_bytes = 0.0
         self._last_n_scans = -n_scans_between
 
     def is_due(self, n_scans: int, scan_bytes: int) -> bool:
-        if n_scans - self._last_n_scans < max(self._n_scans_between, RENEWAL_SHARE * n_scans):
+        if n_scans - self._last_n_scans < max(self._n_scans_between, self._renewal * n_scans):
             return False
-        return self._n_bytes + self._last_n_bytes <= self._share * scan_bytes
+        return self._n_bytes + self._last_n_bytes <= self._share * scan_bytes + self._head_start
 
     def spend(self, n_scans: int, n_bytes: float) -> None:
         self._n_bytes += n_bytes
@@ -853,7 +975,7 @@ def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float
     map_view = view_from_above(
         "Map",
         "/world",
-        ["+ /world/**", "- /world/graph/**", "+ /world/graph/closure", "- /world/final/**"],
+        ["+ /world/**", "- /world/graph/**", "+ /world/graph/closure", "- /world/final/**", "- /world/cells"],
         of_map.eye(1.1),
         overrides={
             **trails,
@@ -872,7 +994,7 @@ def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float
     scan_view = view_from_above(
         "Scan, robot's frame",
         "/world/robot",
-        [f"/world/{name}/**" for name in ("robot", "ellipses", "tracks", "moving", "map")],
+        [f"/world/{name}/**" for name in ("robot", "ellipses", "tracks", "moving", "map", "cells")],
         of_scan.eye(1.7, ahead_is_up=True),
         {path: what for path, what in trails.items() if "path" not in path},
     )
@@ -949,6 +1071,18 @@ def _ellipses(packed_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
     mean, spread = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
     variances = np.maximum(np.column_stack([mean + spread, mean - spread]), 0.0)
     return SIGMAS_95 * np.sqrt(variances), 0.5 * np.arctan2(2.0 * b, a - c)
+
+
+def _around(grid: GridMap, points: FloatArray) -> GridMap:
+    """Cut out the part of a grid around points (n, 2) of its frame; may be without any cell."""
+    corners = np.array([points.min(axis=0) - CELLS_MARGIN_M, points.max(axis=0) + CELLS_MARGIN_M])
+    low, high = np.floor((corners - grid.origin) / grid.resolution_m).astype(np.int64)
+    low, high = np.maximum(low, 0), np.maximum(high + 1, 0)
+    return GridMap(
+        p_occupied=grid.p_occupied[low[1] : high[1], low[0] : high[0]],
+        resolution_m=grid.resolution_m,
+        origin=grid.origin + grid.resolution_m * low,
+    )
 
 
 def _box(points: FloatArray) -> FloatArray:

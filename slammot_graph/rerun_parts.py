@@ -27,6 +27,8 @@ MAP_HEIGHT_M = -0.05
 EYE_DISTANCE = 1.03
 """How far the viewer's eye must be to see a metre from below to above, with a little to spare [m]."""
 MIN_FRAME_M = 5.0
+DARKER = 0.94
+"""How much darker than its neighbours every other cell is."""
 
 
 class Sink:
@@ -154,6 +156,57 @@ def grid_map(grid: GridMap) -> "rr.GridMap":
         cell_size=grid.resolution_m,
         translation=[grid.origin[0], grid.origin[1], MAP_HEIGHT_M],
         colormap=rr.components.Colormap.RvizMap,
+    )
+
+
+def cell_colors(grid: GridMap, limits: tuple[float, float], colors: Sequence[int]) -> Any:
+    """Colour cells by their state: uint8 (rows, cols, 3); every other one is darker, so that each can be told.
+
+    Parameters
+    ----------
+    grid : GridMap
+    limits : (float, float)
+        Below the first probability a cell is free, above the second occupied.
+    colors : sequence of int
+        0xRRGGBBAA of unknown, free and occupied cells.
+    """
+    with np.errstate(invalid="ignore"):
+        state = 1 * (grid.p_occupied < limits[0]) + 2 * (grid.p_occupied > limits[1])
+    # by the cells' numbers in the whole grid, so that the pattern stays where it is while the robot moves
+    col, row = np.round(grid.origin / grid.resolution_m).astype(np.int64).tolist()
+    is_dark = (row + np.arange(state.shape[0])[:, None] + col + np.arange(state.shape[1])) % 2
+    light = np.array([[color >> shift & 0xFF for shift in (24, 16, 8)] for color in colors])
+    shades = np.array([light, DARKER * light]).astype(np.uint8)
+    return shades[is_dark, state]
+
+
+def cell_columns(
+    colors: Sequence[Any], T_a_corner: FloatArray, resolution_m: Sequence[float], z: float
+) -> "rr.ComponentColumnList":
+    """Make columns of n coloured grids, one a row.
+
+    Parameters
+    ----------
+    colors : sequence of (rows, cols, 3) uint8 arrays
+        Row 0 is the lowest y.
+    T_a_corner : (n, 3) array
+        Poses of the lower left corners in the entity's frame a.
+    resolution_m : sequence of float
+    z : float
+        Height [m].
+    """
+    import rerun as rr
+
+    formats = [
+        rr.components.ImageFormat(width=cols, height=rows, color_model="RGB", channel_datatype="U8")
+        for rows, cols, _ in (color.shape for color in colors)
+    ]
+    return rr.GridMap.columns(
+        data=[np.flipud(color).tobytes() for color in colors],  # its row 0 is the top, ours the lowest y
+        format=formats,
+        cell_size=resolution_m,
+        translation=at_height(T_a_corner[:, :2], z),
+        quaternion=yaw_quaternion(T_a_corner[:, 2]),
     )
 
 

@@ -89,7 +89,7 @@ class TrackState:
 EdgeKind = Literal["odometry", "match", "closure"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
 class GraphEdge:
     """A factor between two nodes: the pose of `to_node` in the frame of `from_node`."""
 

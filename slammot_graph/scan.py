@@ -112,8 +112,10 @@ class Scan:
 
     def is_valid(self, max_range: float = np.inf) -> BoolArray:
         """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m]."""
+        is_point = np.empty(len(self.ranges), dtype=np.bool_)
         limit = min(NO_RETURN_FRACTION * self.laser.range_max, max_range)
-        return (self.ranges > max(self.laser.range_min, 1e-3)) & (self.ranges < limit)
+        _between(self.ranges, max(self.laser.range_min, 1e-3), limit, is_point)
+        return is_point
 
     def is_no_return(self, min_run: int = 1) -> BoolArray:
         """(n_beams,) mask of beams that met nothing in reach, at the laser's maximum or infinite.
@@ -137,6 +139,12 @@ class Scan:
     def points(self, T_a_base: FloatArray) -> FloatArray:
         """(n_beams, 2) end points carried into frame a [m] (eq. 2)."""
         return se2.transform(T_a_base, self.points_base())
+
+
+@kernel
+def _between(ranges: FloatArray, low: float, high: float, out: BoolArray) -> None:
+    for k in range(ranges.shape[0]):
+        out[k] = low < ranges[k] < high
 
 
 @kernel

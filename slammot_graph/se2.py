@@ -86,7 +86,9 @@ def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     (..., n, 2) array [m].
     """
     if T_a_b.ndim == 1 and points_b.ndim == 2:
-        return _transform_points(T_a_b, points_b)
+        points_a = np.empty((points_b.shape[0], 2))
+        transform_points(T_a_b, points_b, points_a)
+        return points_a
     c, s = np.cos(T_a_b[..., 2])[..., None], np.sin(T_a_b[..., 2])[..., None]
     x = T_a_b[..., 0, None] + c * points_b[..., 0] - s * points_b[..., 1]
     y = T_a_b[..., 1, None] + s * points_b[..., 0] + c * points_b[..., 1]
@@ -150,33 +152,36 @@ def compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray)
 
     Parameters
     ----------
-    cov_a : (3, 3) covariance of T, body frame a
+    cov_a : (..., 3, 3) covariance of T, body frame a
     T_a_b : (3,) the increment
     cov_b : (3, 3) covariance of the increment, body frame b
 
     Returns
     -------
-    (3, 3) covariance in body frame b: ``A cov_a A' + cov_b`` with ``A = Ad(inverse(T_a_b))``.
+    (..., 3, 3) covariance in body frame b: ``A cov_a A' + cov_b`` with ``A = Ad(inverse(T_a_b))``.
     """
-    if T_a_b.ndim == 1 and cov_a.ndim == 2:
-        return _compound_covariance(cov_a, T_a_b, cov_b)
+    if T_a_b.ndim == 1 and cov_b.ndim == 2 and cov_a.ndim <= 3:
+        out = np.empty(cov_a.shape)
+        _compound_covariances(cov_a.reshape(-1, 3, 3), T_a_b, cov_b, out.reshape(-1, 3, 3))
+        return out
     A = adjoint(inverse(T_a_b))
     return A @ cov_a @ np.swapaxes(A, -1, -2) + cov_b
 
 
 @kernel
-def _transform_points(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
+def transform_points(T_a_b: FloatArray, points_b: FloatArray, points_a: FloatArray) -> None:
+    """Fill `points_a` with `points_b`, both (n, 2), carried into frame a by one transform (3,)."""
     c = math.cos(T_a_b[2])
     s = math.sin(T_a_b[2])
-    out = np.empty((points_b.shape[0], 2))
     for k in range(points_b.shape[0]):
-        out[k, 0] = T_a_b[0] + c * points_b[k, 0] - s * points_b[k, 1]
-        out[k, 1] = T_a_b[1] + s * points_b[k, 0] + c * points_b[k, 1]
-    return out
+        points_a[k, 0] = T_a_b[0] + c * points_b[k, 0] - s * points_b[k, 1]
+        points_a[k, 1] = T_a_b[1] + s * points_b[k, 0] + c * points_b[k, 1]
 
 
 @kernel
-def _compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray) -> FloatArray:
+def _compound_covariances(
+    covs_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray, covs_out: FloatArray
+) -> None:
     # A = Ad(inverse(T_a_b)) = [[R', R' (-y, x)], [0, 1]]
     c = math.cos(T_a_b[2])
     s = math.sin(T_a_b[2])
@@ -188,13 +193,14 @@ def _compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray
     A[1, 1] = c
     A[1, 2] = c * T_a_b[0] + s * T_a_b[1]
     A[2, 2] = 1.0
-    out = cov_b.copy()
-    for i in range(3):
-        for j in range(3):
-            for m in range(3):
-                for n in range(3):
-                    out[i, j] += A[i, m] * cov_a[m, n] * A[j, n]
-    return out
+    for k in range(covs_a.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                total = cov_b[i, j]
+                for m in range(3):
+                    for n in range(3):
+                        total += A[i, m] * covs_a[k, m, n] * A[j, n]
+                covs_out[k, i, j] = total
 
 
 def body_to_world_covariance(cov_body: FloatArray, theta: npt.ArrayLike) -> FloatArray:

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slammot_graph._grid_kernels import FROM_LASER
 from slammot_graph.errors import ConfigError
 from slammot_graph.grid import GridConfig, OccupancyGrid
 from slammot_graph.types import BoolArray, FloatArray
@@ -74,12 +75,55 @@ def assert_equal_around(grid: OccupancyGrid, plain: PlainGrid, origin: FloatArra
 
 
 def random_scan(rng: np.random.Generator, origin: FloatArray, reach_m: float, n: int = 25) -> tuple:
-    """Origin, end points, beams, hits and soft hits; every other beam has no return, so that none has a neighbour."""
+    """Origin, end points, beams, hits and soft hits; few beams have a return, so that none leaves cells to another."""
+    n *= FROM_LASER
     angles = rng.uniform(-np.pi, np.pi, n)
     ends = origin + rng.uniform(0.15, reach_m, (n, 1)) * np.column_stack([np.cos(angles), np.sin(angles)])
-    ends[1::2] = np.nan
-    is_beam, kind = np.arange(n) % 2 == 0, rng.random(n)
+    is_beam, kind = np.arange(n) % FROM_LASER == 0, rng.random(n)
+    ends[~is_beam] = np.nan
     return origin, ends, is_beam, is_beam & (kind < 0.5), is_beam & (kind > 0.7)
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([None, 6.0]),
+    st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)),
+    st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
+    st.floats(0.01, 1.0),
+)
+def test_a_crop_holds_the_cells_that_its_square_touches(
+    seed: int,
+    window_m: float | None,
+    start: tuple[float, float],
+    offset: tuple[float, float],
+    half_side: float,
+) -> None:
+    """Across the rolling storage's edges (6.4 m apart) and a fixed one's, which ends within 13 m of what was seen."""
+    rng, config = np.random.default_rng(seed), GridConfig(resolution_m=0.1)
+    grid, plain = OccupancyGrid(config, window_m=window_m), PlainGrid(config)
+    origin = np.array(start) if window_m is not None else 0.1 * np.array(start)
+    for now in range(6):
+        origin = origin + rng.normal(0.0, 0.15, 2)
+        grid.oldest = plain.oldest = max(0, now - 3) if window_m is not None else 0
+        scan = random_scan(rng, origin, 1.0)
+        grid.update(now, *scan)
+        plain.update(now, *scan)
+    reach_m = 1.0 if window_m is not None else 14.0
+    centre, half_side_m = origin + reach_m * np.array(offset), 2.0 * reach_m * half_side
+    crop = grid.crop(centre, half_side_m)
+    corner = np.round(crop.origin * 10.0).astype(int)
+    np.testing.assert_allclose(crop.origin, 0.1 * corner, atol=1e-9)
+    upper = crop.origin + 0.1 * np.array(crop.p_occupied.shape[::-1])
+    for low, side in ((crop.origin, centre - half_side_m), (upper - 0.1, centre + half_side_m)):
+        assert (low <= side + 1e-9).all()
+        assert (side <= low + 0.1 + 1e-9).all()
+    value = plain.log_odds()
+    expected = [
+        [value.get((corner[1] + i, corner[0] + j), np.nan) for j in range(crop.p_occupied.shape[1])]
+        for i in range(crop.p_occupied.shape[0])
+    ]
+    np.testing.assert_allclose(crop.p_occupied, 1.0 / (1.0 + np.exp(-np.array(expected))), atol=1e-6)
 
 
 @pytest.mark.parametrize("window_m", [None, 6.0])
@@ -136,10 +180,10 @@ def test_each_cell_counts_once_a_scan_and_a_hit_wins(seed: int) -> None:
     rng = np.random.default_rng(seed)
     once, thrice = OccupancyGrid(GridConfig()), OccupancyGrid(GridConfig())
     origin, ends, is_beam, is_hit, _ = random_scan(rng, rng.normal(size=2), 2.0, n=16)
-    none = np.zeros(16, dtype=bool)
+    none = np.zeros(len(ends), dtype=bool)
     once.update(0, origin, ends, is_beam, is_hit, none)
-    # with every other one a beam, there are still no neighbours
-    order = np.concatenate([np.arange(16), np.roll(np.arange(16), 4), np.roll(np.arange(16), 10)])
+    blocks = np.arange(len(ends)).reshape(16, -1)
+    order = np.concatenate([blocks, np.roll(blocks, 4, axis=0), np.roll(blocks, 10, axis=0)]).ravel()
     thrice.update(0, origin, *(a[order] for a in (ends, is_beam, is_hit, none)))
     np.testing.assert_array_equal(once.log_odds, thrice.log_odds)
     np.testing.assert_allclose(once.probability(ends[is_hit]), 0.7, atol=1e-6)
@@ -151,12 +195,46 @@ def test_the_order_of_the_beams_does_not_matter(seed: int) -> None:
     rng, grids = np.random.default_rng(seed), [OccupancyGrid(GridConfig(resolution_m=0.2)) for _ in range(2)]
     for now in range(4):
         # so near that hits and soft hits share cells
-        origin, *beams = random_scan(rng, rng.normal(size=2), 1.0, n=40)
-        order = 2 * rng.permutation(20)  # still no neighbours, since every other beam is none
-        order = np.column_stack([order, order + 1]).ravel()
+        origin, *beams = random_scan(rng, rng.normal(size=2), 1.0, n=20)
+        order = rng.permutation(np.arange(len(beams[0])).reshape(20, -1)).ravel()
         for grid, arrays in zip(grids, (beams, [a[order] for a in beams]), strict=True):
             grid.update(now, origin, *arrays)
     np.testing.assert_array_equal(grids[0].log_odds, grids[1].log_odds)
+
+
+@pytest.mark.parametrize("step_deg", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("fill_gaps", [False, True])
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_beams_closer_than_cells_free_what_each_alone_would(
+    step_deg: float, fill_gaps: bool, seed: int
+) -> None:
+    """In a room with corners and things in it; single cells may be left out, where lines cross the diagonal."""
+    rng = np.random.default_rng(seed)
+    angles = np.radians(np.arange(0.0, 270.0, step_deg))
+    u = np.column_stack([np.cos(angles), np.sin(angles)])
+    walls = rng.uniform(2.0, 9.0, (4, 1)) / np.maximum(np.vstack([u.T, -u.T]), 1e-9)
+    ranges = np.minimum(walls.min(axis=0), 9.0) + rng.normal(0.0, 0.01, len(u))
+    for place in rng.integers(0, len(u) - 8, 5):
+        ranges[place : place + 8] = np.minimum(ranges[place : place + 8], rng.uniform(0.5, 6.0))
+    ranges[rng.random(len(u)) < 0.02] = np.nan
+    is_hit = np.isfinite(ranges)
+    origin = rng.normal(size=2)
+    ends = origin + ranges[:, None] * u
+    config = GridConfig(resolution_m=0.1, fill_gaps=fill_gaps)
+    grid, plain = OccupancyGrid(config), PlainGrid(config)
+    grid.update(0, origin, ends, is_hit, is_hit)
+    plain.update(0, origin, ends, is_hit, is_hit, np.zeros(len(u), dtype=bool))
+    cells = list(plain.log_odds())
+    p = grid.probability(centres(cells, 0.1))
+    left_out = [cell for cell, value in zip(cells, p, strict=True) if value == 0.5]
+    assert len(left_out) < 0.005 * len(cells)
+    beside = [(i + di, j + dj) for i, j in left_out for di, dj in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+    if left_out:
+        n_seen_beside = (grid.probability(centres(beside, 0.1)) != 0.5).reshape(-1, 4).sum(axis=1)
+        assert np.all(n_seen_beside >= 3)
+    if not fill_gaps:
+        assert int((grid.log_odds != 0.0).sum()) == len(cells) - len(left_out)
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])

@@ -15,7 +15,7 @@ import pytest
 from matplotlib.image import imread
 from scipy.ndimage import binary_dilation
 
-from slammot_graph import cli, colors
+from slammot_graph import cli, colors, recording
 from slammot_graph.rerun_parts import viewer_executable
 from slammot_graph.types import BoolArray, FloatArray
 from tests.walkers import write_walkers
@@ -88,7 +88,7 @@ def show(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Path, i
         yield _show
 
 
-def _show(recording: Path, scan: int, name: str) -> Pictures:
+def _show(path: Path, scan: int, name: str) -> Pictures:
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:
@@ -100,7 +100,7 @@ def _show(recording: Path, scan: int, name: str) -> Pictures:
         old.unlink()
     pictures = Pictures({}, [], [])
     with ViewerClient.spawn(headless=True, port=port, executable_path=str(viewer_executable())) as viewer:
-        viewer.open(str(recording.resolve()))
+        viewer.open(str(path.resolve()))
         _wait(lambda: not viewer.get_state().loading)
         viewer.set_time("scan", sequence=scan, play_state="paused")
         viewer.take_screenshot(max_size=64)  # the first frame makes the views
@@ -216,6 +216,14 @@ def test_every_view_of_a_run_is_drawn(
         is_static = _is_colored(picture, colors.COLOR_STATIC)
         assert is_static.sum() > 100
         assert _is_colored(picture, colors.COLOR_MOVING).sum() > 10
+        # the cells that the test saw, in the view of the scan only
+        is_free = _is_colored(picture, recording.COLOR_CELLS[1], 0.03)
+        if name == "Map":
+            assert is_free.sum() < 10
+        else:
+            assert is_free.sum() > 1000
+            is_red = _is_colored(picture, colors.COLOR_MOVING)
+            assert is_red[binary_dilation(is_free, iterations=8)].sum() > 0.9 * is_red.sum()
         # what is seen lies on the map's walls, in each view: none of them is mirrored
         is_wall = _is_colored(picture, 0x0F0F0FFF)
         assert is_static[binary_dilation(is_wall, iterations=8)].sum() > 0.3 * is_static.sum()

@@ -183,6 +183,8 @@ def _announce_compilation() -> None:
 
 
 def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
+    if run_log.wants_cells:
+        _record_cells(run, run_log, step)
     run_log.log_step(step)
     if run_log.wants_map:
         run_log.log_map(run.pipeline.render_map())
@@ -190,6 +192,18 @@ def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
         run_log.log_graph(*run.pipeline.nodes_and_edges())
     if run_log.wants_nodes:
         run_log.log_nodes(run.pipeline.nodes_and_edges()[0])
+
+
+def _record_cells(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
+    """Log the cells around the robot if the method tests them; comes before the step's own log."""
+    from slammot_graph.pipeline import Pipeline
+    from slammot_graph.recording import CELLS_HALF_SIDE_M
+
+    pipeline = run.pipeline
+    if isinstance(pipeline, Pipeline) and pipeline.config.filter_moving:
+        cells, T_map_local = pipeline.crop_test_grid(step.T_map_base[:2], CELLS_HALF_SIDE_M)
+        limits = pipeline.grid.config.p_free, pipeline.grid.config.p_occupied
+        run_log.log_cells(cells, T_map_local, limits)
 
 
 def _make_run_log(run: "Run", output: Path, mode: RerunMode) -> "RunLog":

@@ -9,7 +9,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.closure import _kernels
 from slammot_graph.closure.joining import Vote, elect
-from slammot_graph.closure.submap import CELL_M, OCCUPIED_SCORE, PreparedSubmap, Submap
+from slammot_graph.closure.submap import CELL_M, OCCUPIED_SCORE, Place, PreparedSubmap, Submap
 from slammot_graph.errors import ConfigError
 from slammot_graph.graph import PoseGraph
 from slammot_graph.linalg import covariance_of, mahalanobis2
@@ -37,6 +37,8 @@ class LoopClosureConfig:
         ... within these bounds.
     n_candidates, n_candidates_lost : int
         Local maps that are looked at per finished one, the nearest first; and while the robot is lost.
+    n_known : int
+        A local map that closes with so many earlier ones shows nothing new: it is not looked at again.
     min_score : float
         Share of the best possible agreement that the search must reach.
     min_overlap : float
@@ -64,6 +66,7 @@ class LoopClosureConfig:
     max_search_rad: float = 0.8
     n_candidates: int = 3
     n_candidates_lost: int = 7
+    n_known: int = 3
     min_score: float = 0.38
     min_overlap: float = 0.55
     max_contradiction: float = 0.2
@@ -91,7 +94,7 @@ class LoopClosureConfig:
             0.0 < self.min_search_m <= self.max_search_m and 0.0 < self.min_search_rad <= self.max_search_rad
         ):
             raise ConfigError("closure needs 0 < min_search <= max_search, in metres and in radians")
-        for name in ("n_candidates", "n_candidates_lost"):
+        for name in ("n_candidates", "n_candidates_lost", "n_known"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"closure.{name} must be at least 1, not {getattr(self, name)}")
         for name in ("min_score", "min_overlap", "max_contradiction", "max_ambiguity"):
@@ -105,14 +108,14 @@ class Closure:
 
     Attributes
     ----------
-    target, source : Submap
+    target, source : Place
     T_target_source : (3,) array
     cov, information : (3, 3) array
         Right perturbation; no information in directions that the match does not determine.
     """
 
-    target: Submap
-    source: Submap
+    target: Place
+    source: Place
     T_target_source: FloatArray
     cov: FloatArray
     information: FloatArray
@@ -123,7 +126,7 @@ class Closure:
 
 
 def _attempt(
-    target: Submap, source: Submap, status: ClosureStatus, reason: str, T_target_source: FloatArray
+    target: Place, source: Place, status: ClosureStatus, reason: str, T_target_source: FloatArray
 ) -> ClosureAttempt:
     return ClosureAttempt(
         target_node=target.anchor,
@@ -158,19 +161,21 @@ class LoopCloser:
         for target, T_target_source, cov in self._candidates(submap, nodes):
             closure, reason = self._verify(target, submap, T_target_source, cov)
             if closure is None:
-                attempts.append(_attempt(target, submap, "refused", reason, T_target_source))
+                attempts.append(_attempt(target.place, submap.place, "refused", reason, T_target_source))
             else:
                 verified.append((closure, T_target_source, cov))
         self.submaps.append(submap)
         for closure, T_predicted, cov in verified:
-            if self._is_apart(closure.target, submap):
+            if self._is_apart(closure.target, closure.source):
                 attempts.append(self.locate(closure))
             else:
                 attempts.append(self.decide(closure, T_predicted, cov))
-        changed = any(attempt.status == "accepted" for attempt in attempts)
-        if changed:
+        n_accepted = sum(attempt.status == "accepted" for attempt in attempts)
+        if n_accepted >= self.config.n_known:
+            self.submaps.remove(submap)
+        if n_accepted:
             attempts += self.take_back()
-        return changed, tuple(attempts)
+        return n_accepted > 0, tuple(attempts)
 
     def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> ClosureAttempt:
         """Accept a verified closure now, keep it until another one confirms it, or refuse it."""
@@ -219,7 +224,7 @@ class LoopCloser:
         T_map_new = se2.compose(place, se2.inverse(nodes[closure.source.anchor]))
         return Vote(source=closure.source.number, T_map_new=T_map_new, place=place)
 
-    def _is_apart(self, a: Submap, b: Submap) -> bool:
+    def _is_apart(self, a: Submap | Place, b: Submap | Place) -> bool:
         """Tell whether nothing is known of the way between two local maps."""
         if a.piece == b.piece:
             return False
@@ -309,8 +314,8 @@ class LoopCloser:
         if contradiction > config.max_contradiction:
             return None, f"{100 * contradiction:.0f}% of the points lie where the other saw free space"
         closure = Closure(
-            target=target,
-            source=source,
+            target=target.place,
+            source=source.place,
             T_target_source=match.T_ref_base,
             cov=covariance_of(match.graph_information),
             information=match.graph_information,

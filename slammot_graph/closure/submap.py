@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,15 +18,15 @@ OCCUPIED_SCORE, NEIGHBOUR_SCORE, FREE_SCORE = 4, 2, -2
 _GRID = GridConfig(resolution_m=CELL_M)
 
 
-@dataclass(frozen=True, eq=False)
-class Submap:
-    """Keyframes that hang rigidly on the first of them, the anchor.
+class Place(NamedTuple):
+    """Where and when a local map was finished.
 
     Attributes
     ----------
     number : int
         Running number, in the order of finishing.
-    keyframes : tuple of Keyframe
+    anchor : int
+        Node of its anchor.
     path_m : float
         Way driven up to the middle keyframe.
     piece : int
@@ -33,9 +34,31 @@ class Submap:
     """
 
     number: int
+    anchor: int
+    path_m: float
+    piece: int
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """Keyframes that hang rigidly on the first of them, the anchor.
+
+    Attributes
+    ----------
+    number, path_m, piece
+        As of its `Place`.
+    keyframes : tuple of Keyframe
+    """
+
+    number: int
     keyframes: tuple[Keyframe, ...]
     path_m: float
     piece: int = 0
+
+    @property
+    def place(self) -> Place:
+        """Where and when, without the keyframes."""
+        return Place(self.number, self.anchor, self.path_m, self.piece)
 
     @property
     def anchor(self) -> int:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from slammot_graph import se2
+from slammot_graph.errors import SlammotError
+from slammot_graph.graph import _kernels
 from slammot_graph.result_types import GraphEdge
 from slammot_graph.types import FloatArray
 
@@ -46,25 +47,30 @@ class LocalFactors:
         (k, 3, 3) array
             Marginal covariances of the anchor and all later keyframes relative to the anchor, right perturbation (body
             frames): of the linearised graph of these factors, with the anchor held.
+
+        Raises
+        ------
+        SlammotError
+            The information of a factor is not positive semi-definite.
         """
         self._edges = [
             e for e in self._edges if e.to_node >= anchor and (e.from_node == MAP or e.from_node >= anchor)
         ]
-        nodes = [MAP, *sorted({edge.to_node for edge in self._edges} - {anchor})]
-        place = {node: 3 * k for k, node in enumerate(nodes)}
-        adjoints = se2.adjoint(se2.inverse(np.array([edge.T_from_to for edge in self._edges])))
-        information = np.zeros((3 * len(nodes), 3 * len(nodes)))
-        for edge, adjoint in zip(self._edges, adjoints, strict=True):
-            jacobians = {edge.from_node: -adjoint, edge.to_node: np.eye(3)}
-            for a, J_a in jacobians.items():
-                for b, J_b in jacobians.items():
-                    if anchor not in (a, b):
-                        block = np.s_[place[a] : place[a] + 3, place[b] : place[b] + 3]
-                        information[block] += J_a.T @ edge.information @ J_b
-        cov = np.asarray(np.linalg.inv(information), dtype=np.float64).reshape(len(nodes), 3, len(nodes), 3)
-        of_keyframes: FloatArray = cov[np.arange(1, len(nodes)), :, np.arange(1, len(nodes)), :]
-        of_keyframes = np.concatenate([np.zeros((1, 3, 3)), of_keyframes])
-        return np.asarray(0.5 * (of_keyframes + np.swapaxes(of_keyframes, -1, -2)), dtype=np.float64)
+        keyframes = sorted({edge.to_node for edge in self._edges})
+        place = {
+            MAP: len(keyframes) - 1,
+            **{node: k - 1 for k, node in enumerate(keyframes)},
+        }  # the anchor is held
+        covs = np.zeros((len(keyframes) + 1, 3, 3))
+        if not _kernels.block_covariances(
+            np.array([place[edge.from_node] for edge in self._edges]),
+            np.array([place[edge.to_node] for edge in self._edges]),
+            np.array([edge.T_from_to for edge in self._edges]),
+            np.array([edge.information for edge in self._edges]),
+            covs[1:],
+        ):
+            raise SlammotError(f"the covariances of the local map at node {anchor} cannot be solved for")
+        return covs[:-1]
 
 
 def _on_map(node: int, T_local_base: FloatArray, information: FloatArray) -> GraphEdge:

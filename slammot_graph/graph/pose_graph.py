@@ -58,6 +58,7 @@ class PoseGraph:
         self._n_nodes = 0
         self._waiting: list[GraphEdge] = []
         self._factor_of: dict[int, int] = {}
+        self._poses: FloatArray | None = None
         self._isam = _smoother(config)
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
@@ -115,17 +116,20 @@ class PoseGraph:
         """
         if self._new_factors.size() == 0 and self._new_values.size() == 0:
             return
+        self._poses = None
         factors, values = self._new_factors, self._new_values
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         result = self._in_thread(lambda: self._isam.update(factors, values))
         indices = list(result.getNewFactorsIndices())
         for edge, index in zip(self._waiting, indices[len(indices) - len(self._waiting) :], strict=True):
-            self._factor_of[id(edge)] = int(index)
+            if edge.kind == "closure":
+                self._factor_of[id(edge)] = int(index)
         self._waiting = []
 
     def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
-        """Take edges out again, as closures that turned out wrong."""
+        """Take edges of kind "closure" out again, which turned out wrong."""
         self.update()
+        self._poses = None
 
         def remove() -> None:
             parameters = gtsam.ISAM2UpdateParams()
@@ -153,6 +157,7 @@ class PoseGraph:
             self._add_factor(edge)
         self.update()
         self._in_thread(self._isam.update)
+        self._poses = None
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
@@ -162,9 +167,11 @@ class PoseGraph:
     def poses(self) -> FloatArray:
         """(n, 3) optimised poses of all nodes, map frame."""
         self.update()
-        values = self._in_thread(self._isam.calculateBestEstimate)
-        poses = gtsam.utilities.extractPose2(values)
-        return np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+        if self._poses is None:
+            values = self._in_thread(self._isam.calculateBestEstimate)
+            poses = np.asarray(gtsam.utilities.extractPose2(values), dtype=np.float64)
+            self._poses = poses.reshape(-1, 3)
+        return self._poses.copy()
 
     def marginal(self, node: int) -> FloatArray:
         """(3, 3) absolute covariance of a node, right perturbation (body frame)."""

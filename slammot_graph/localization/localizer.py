@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from slammot_graph import se2
-from slammot_graph.linalg import invert
+from slammot_graph.linalg import fused
 from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
@@ -105,7 +105,7 @@ class Localizer(Protocol):
 
 def fuse(cov_prior: FloatArray, match: MatchResult) -> FloatArray:
     """(3, 3) covariance of a prediction and a match taken together, as the next prior counts it: cautious."""
-    return invert(invert(cov_prior) + match.graph_information)
+    return fused(cov_prior, match.graph_information)
 
 
 def refuse(match: MatchResult, T_predicted: FloatArray, reason: str) -> MatchResult:

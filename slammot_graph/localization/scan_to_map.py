@@ -1,5 +1,6 @@
 """Our localization: scans matched onto the local map, keyframes joined in the pose graph."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from slammot_graph.graph import LocalFactors, PoseGraph, PoseGraphConfig
 from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
 from slammot_graph.linalg import invert
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
+from slammot_graph.localization.visits import Visits
 from slammot_graph.matching import (
     Keyframe,
     LocalMap,
@@ -36,17 +38,6 @@ CARRIED_WAY_M = 0.2
 
 LOST_PATH_M = 20.0
 """Way that a lost robot may have been carried, when it comes to recognising places."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Visit:
-    """Where a scan hangs: on the latest node, and with what covariance on the local map's anchor."""
-
-    node: int
-    T_node_base: FloatArray
-    anchor: int
-    T_anchor_base: FloatArray
-    cov_relative: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +97,7 @@ class ScanToMap:
         # since the last node
         self._T_odom_node: FloatArray = se2.IDENTITY
         self._T_local_node: FloatArray = se2.IDENTITY
-        self._T_map_node: FloatArray = se2.IDENTITY
+        self._T_map_local: FloatArray = se2.IDENTITY
         self._cov_odometry: FloatArray = np.zeros((3, 3))
         self._cov_node: FloatArray = FIRST_COV
         self._n_failed = 0
@@ -114,7 +105,7 @@ class ScanToMap:
         self._T_odom_seen: FloatArray = se2.IDENTITY
         self._doubt = 0.0
         self._node_scans: list[int] = []
-        self._visits: list[_Visit] = []
+        self._visits = Visits()
 
     @property
     def closures(self) -> tuple[ClosureAttempt, ...]:
@@ -124,7 +115,7 @@ class ScanToMap:
     @property
     def T_map_local(self) -> FloatArray:
         """See `Localizer`."""
-        return se2.compose(self._T_map_node, se2.inverse(self._T_local_node))
+        return self._T_map_local
 
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
@@ -133,10 +124,11 @@ class ScanToMap:
             increment = se2.between(self._T_odom_base, scan.T_odom_base)
             cov = self.noise.covariance(increment)
             self._T_local_base = se2.compose(self._T_local_base, increment)
-            self._path_m += float(np.hypot(increment[0], increment[1]))
-            self._cov_prior = se2.compound_covariance(self._cov_prior, increment, cov)
-            self._cov_own = se2.compound_covariance(self._cov_own, increment, cov)
-            self._cov_odometry = se2.compound_covariance(self._cov_odometry, increment, cov)
+            self._path_m += math.hypot(increment[0], increment[1])
+            before = np.array([self._cov_prior, self._cov_own, self._cov_odometry])
+            self._cov_prior, self._cov_own, self._cov_odometry = se2.compound_covariance(
+                before, increment, cov
+            )
         self._T_odom_base = scan.T_odom_base
         self._laser_base = scan.laser.origin_base
         self._prediction = _Prediction(
@@ -246,14 +238,10 @@ class ScanToMap:
             if has_points:
                 events += self._add_keyframe(node, scan, points_base, is_static)
         anchor, T_anchor_base = self._from_anchor()
-        visit = _Visit(
-            node=len(self.graph) - 1,
-            T_node_base=se2.between(self._T_local_node, self._T_local_base),
-            anchor=anchor,
-            T_anchor_base=T_anchor_base,
-            cov_relative=self._cov_own + self._cov_common,
+        T_node_base = se2.between(self._T_local_node, self._T_local_base)
+        self._visits.append(
+            len(self.graph) - 1, T_node_base, anchor, T_anchor_base, self._cov_own + self._cov_common
         )
-        self._visits.append(visit)
         return node, events
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
@@ -262,20 +250,17 @@ class ScanToMap:
 
     def final(self) -> FinalEstimate:
         """See `Localizer`."""
-        if not self._visits:
+        if not len(self._visits):
             nothing = np.empty((0, 3))
             no_nodes = np.empty(0, dtype=np.int64)
             return FinalEstimate(
                 T_map_base=nothing, cov_map=np.empty((0, 3, 3)), node_scans=no_nodes, nodes=nothing, edges=()
             )
         nodes, marginals = self.graph.poses(), self.graph.marginals()
-        on_node = np.array([v.node for v in self._visits])
-        on_anchor = np.array([v.anchor for v in self._visits])
-        A = se2.adjoint(se2.inverse(np.array([v.T_anchor_base for v in self._visits])))
-        cov_relative = np.array([v.cov_relative for v in self._visits])
+        T_map_base, cov_map = self._visits.trajectory(nodes, marginals)
         return FinalEstimate(
-            T_map_base=se2.compose(nodes[on_node], np.array([v.T_node_base for v in self._visits])),
-            cov_map=A @ marginals[on_anchor] @ np.swapaxes(A, -1, -2) + cov_relative,
+            T_map_base=T_map_base,
+            cov_map=cov_map,
             node_scans=np.array(self._node_scans),
             nodes=nodes,
             edges=tuple(self.graph.edges),
@@ -343,7 +328,7 @@ class ScanToMap:
             node = self.graph.start(T_map_node)
         else:
             last = len(self.graph) - 1
-            T_map_node = se2.compose(self.T_map_local, self._T_local_base)
+            T_map_node = se2.compose(self._T_map_local, self._T_local_base)
             node = self.graph.add_node(T_map_node)
             T_last_node = se2.between(self._T_odom_node, scan.T_odom_base)
             odometry = self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
@@ -357,8 +342,8 @@ class ScanToMap:
             self._cov_node = se2.compound_covariance(self._cov_node, T_last_node, self._cov_odometry)
             if self._match is not None and is_matched:
                 self._cov_node = fuse(self._cov_node, self._match)
-        self._T_map_node = T_map_node
         self._T_local_node = self._T_local_base
+        self._T_map_local = se2.compose(T_map_node, se2.inverse(self._T_local_node))
         self._T_odom_node = scan.T_odom_base
         self._cov_odometry = np.zeros((3, 3))
         self._node_scans.append(scan.index)
@@ -379,7 +364,7 @@ class ScanToMap:
             events = [attempt.text for attempt in self._closures]
         anchor = self.local_map.anchor.node
         if is_first or finished:
-            self._T_map_node = self.graph.pose(node)
+            self._T_map_local = se2.compose(self.graph.pose(node), se2.inverse(self._T_local_node))
             self._cov_anchor = self.graph.marginal(anchor)
             self._cov_node = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
         if is_first:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from slammot_graph._numba import kernel
-from slammot_graph.linalg import eigh3, invert3, sandwich3
+from slammot_graph.linalg import BARELY, eigh3, invert3, sandwich3
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 LINE_FIRST_M2 = 0.04
@@ -142,10 +142,12 @@ def insert_points(
 
     `nearest` (side, side), side a power of two, wraps around: cell (i & mask, j & mask) holds the number of the map
     point nearest to the cell's centre, among points numbered `first` and up. A point nearer than `min_spacing` to
-    the one already there is left out, unless the two lie on different lines. Numbers are stored modulo the capacity.
+    the one already there is left out, unless the two lie on different lines. Numbers are stored modulo the capacity,
+    a power of two.
     """
     mask = nearest.shape[0] - 1
     capacity = map_points.shape[0]
+    wrap = capacity - 1
     cell = 1.0 / inv_cell
     for k in range(new_points.shape[0]):
         if not is_new[k]:
@@ -158,15 +160,15 @@ def insert_points(
         jc = math.floor(x * inv_cell)
         old = nearest[ic & mask, jc & mask]
         if old >= first:
-            dx = map_points[old % capacity, 0] - x
-            dy = map_points[old % capacity, 1] - y
-            ox = map_normals[old % capacity, 0]
-            oy = map_normals[old % capacity, 1]
+            dx = map_points[old & wrap, 0] - x
+            dy = map_points[old & wrap, 1] - y
+            ox = map_normals[old & wrap, 0]
+            oy = map_normals[old & wrap, 1]
             alike = ox * new_normals[k, 0] + oy * new_normals[k, 1] > 0.7
             has_no_line = new_normals[k, 0] == 0.0 and new_normals[k, 1] == 0.0
             if dx * dx + dy * dy < min_spacing * min_spacing and (alike or has_no_line):
                 continue
-        slot = n_points % capacity
+        slot = n_points & wrap
         map_points[slot, 0] = x
         map_points[slot, 1] = y
         map_normals[slot, 0] = new_normals[k, 0]
@@ -178,10 +180,10 @@ def insert_points(
                 cx = (j + 0.5) * cell
                 other = nearest[i & mask, j & mask]
                 if other >= first:
-                    ox = map_points[other % capacity, 0] - cx
-                    oy = map_points[other % capacity, 1] - cy
+                    ox = map_points[other & wrap, 0] - cx
+                    oy = map_points[other & wrap, 1] - cy
                     other2 = ox * ox + oy * oy
-                    if map_normals[other % capacity, 0] == 0.0 and map_normals[other % capacity, 1] == 0.0:
+                    if map_normals[other & wrap, 0] == 0.0 and map_normals[other & wrap, 1] == 0.0:
                         other2 += LINE_FIRST_M2
                     if other2 <= (x - cx) * (x - cx) + (y - cy) * (y - cy) + handicap:
                         continue
@@ -241,7 +243,7 @@ def accumulate(
     the number of points used, of pairs, the sum of weights, the weighted sum of squared residuals.
     """
     mask = nearest.shape[0] - 1
-    capacity = map_points.shape[0]
+    wrap = map_points.shape[0] - 1
     c = math.cos(T[2])
     s = math.sin(T[2])
     laser_x = T[0] + c * laser[0] - s * laser[1]
@@ -261,7 +263,7 @@ def accumulate(
         number = nearest[math.floor(y * inv_cell) & mask, math.floor(x * inv_cell) & mask]
         if number < first:
             continue
-        m = number % capacity
+        m = number & wrap
         dx = x - map_points[m, 0]
         dy = y - map_points[m, 1]
         if dx * dx + dy * dy > reach2:
@@ -353,7 +355,7 @@ def residual_scatter(
     its body frame; the errors of different keyframes are taken as fully correlated, in the local frame's axes.
     """
     mask = nearest.shape[0] - 1
-    capacity = map_points.shape[0]
+    wrap = map_points.shape[0] - 1
     by_keyframe = np.zeros((keyframes.shape[0], 3, 3))
     c = math.cos(T[2])
     s = math.sin(T[2])
@@ -374,7 +376,7 @@ def residual_scatter(
         number = nearest[math.floor(y * inv_cell) & mask, math.floor(x * inv_cell) & mask]
         if number < first:
             continue
-        m = number % capacity
+        m = number & wrap
         dx = x - map_points[m, 0]
         dy = y - map_points[m, 1]
         if dx * dx + dy * dy > reach2:
@@ -792,6 +794,55 @@ def judge_match(
     T_free[1] = T[1] + s * free[0] + c * free[1]
     T_free[2] = (T[2] + free[2] + math.pi) % (2.0 * math.pi) - math.pi
     return n_weak
+
+
+@kernel
+def innovate(
+    T_predicted: FloatArray,
+    T_match: FloatArray,
+    cov_predicted: FloatArray,
+    graph_information: FloatArray,
+    information: FloatArray,
+    innovation: FloatArray,
+    cov: FloatArray,
+) -> float:
+    """Fill the `innovation` (3,) ``log(inverse(T_predicted) T_match)`` and `cov` (3, 3) of a match's information.
+
+    Returns the innovation's normalised square, for the sum of the prediction's and the match's cautious covariance.
+    """
+    c = math.cos(T_predicted[2])
+    s = math.sin(T_predicted[2])
+    dx = T_match[0] - T_predicted[0]
+    dy = T_match[1] - T_predicted[1]
+    turn = (T_match[2] - T_predicted[2] + math.pi) % (2.0 * math.pi) - math.pi
+    half = 0.5 * turn
+    a = 1.0 - half * half / 3.0 if abs(turn) < 1e-6 else half / math.tan(half)
+    x = c * dx + s * dy
+    y = -s * dx + c * dy
+    innovation[0] = a * x + half * y
+    innovation[1] = -half * x + a * y
+    innovation[2] = turn
+    barely = np.empty((3, 3))
+    whole = np.empty((3, 3))
+    inverse = np.empty((3, 3))
+    nis = np.nan
+    for i in range(3):
+        for j in range(3):
+            barely[i, j] = graph_information[i, j] + (BARELY if i == j else 0.0)
+    if invert3(barely, inverse):
+        for i in range(3):
+            for j in range(3):
+                whole[i, j] = cov_predicted[i, j] + inverse[i, j]
+        if invert3(whole, inverse):
+            nis = 0.0
+            for i in range(3):
+                for j in range(3):
+                    nis += innovation[i] * inverse[i, j] * innovation[j]
+    for i in range(3):
+        for j in range(3):
+            barely[i, j] = information[i, j] + (BARELY if i == j else 0.0)
+    invert3(barely, cov)
+    return nis
 
 
 @kernel

@@ -168,11 +168,8 @@ class LocalMap:
         """Tell whether the robot has moved enough since the last keyframe, or there is none."""
         if not self.keyframes:
             return True
-        moved = se2.between(self.keyframes[-1].T_local_base, T_local_base)
-        return bool(
-            math.hypot(moved[0], moved[1]) > self.config.keyframe_distance_m
-            or abs(moved[2]) > self.config.keyframe_rotation_rad
-        )
+        way_m, turn_rad = se2.distance(self.keyframes[-1].T_local_base, T_local_base)
+        return way_m > self.config.keyframe_distance_m or turn_rad > self.config.keyframe_rotation_rad
 
     def add(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> tuple[Keyframe, ...]:
         """Take in a keyframe; the keyframes of the map that this filled, when a new one took over, else none.

@@ -1,12 +1,13 @@
 """Our match: static points of a scan onto the lines of the local map, robust, started at the prediction."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
-from slammot_graph.linalg import covariance_of, invert, mahalanobis2
+from slammot_graph.linalg import covariance_of, invert
 from slammot_graph.matching import _kernels
 from slammot_graph.matching.local_map import LocalMap
 from slammot_graph.result_types import MatchResult, MatchStatus
@@ -236,22 +237,21 @@ def _judge(
     config: PointToLineConfig,
 ) -> tuple[MatchResult, FloatArray, FloatArray]:
     """Tell converged, degenerate and failed apart, and give the match its covariance."""
-    n_pairs, sum_weights, sum_squares = int(solution.stats[1]), solution.stats[2], solution.stats[3]
-    residual_m = float(np.sqrt(sum_squares / max(sum_weights, 1e-9)))
+    _, n_pairs, sum_weights, sum_squares = solution.stats.tolist()
+    residual_m = math.sqrt(sum_squares / max(sum_weights, 1e-9))
     reason = ""
     if n_pairs < config.min_pairs:
-        reason = f"only {n_pairs} points found a partner"
+        reason = f"only {n_pairs:.0f} points found a partner"
     elif solution.inlier_ratio < config.min_inlier_ratio:
         reason = f"only {100 * solution.inlier_ratio:.0f}% of the points agree with the local map"
     if reason:
         status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_own_predicted, np.nan
         information, graph_information, gain_information, cov_common = np.zeros((4, 3, 3))
-        innovation = np.zeros(3)
+        innovation, cov_match = np.zeros(3), covariance_of(information)
     else:
-        T, T_free, cov = solution.T, np.empty(3), np.empty((3, 3))
-        white, common, inherited = np.empty((3, 3, 3))
-        information, graph_information, gain_information = np.empty((3, 3, 3))
-        cov_own, cov_common, cov_map = np.empty((3, 3, 3))
+        T, T_free, innovation = solution.T, np.empty(3), np.empty(3)
+        white, common, inherited, information, graph_information, gain_information = np.empty((6, 3, 3))
+        cov_own, cov_common, cov_map, cov_match, cov = np.empty((5, 3, 3))
         _kernels.residual_scatter(
             local_map.points,
             local_map.normals,
@@ -282,7 +282,7 @@ def _judge(
             white,
             common,
             inherited,
-            float(n_pairs),
+            n_pairs,
             config.residual_std_m,
             config.floor_std_m,
             config.noise_ratio * max(residual_m, config.least_residual_m),
@@ -307,26 +307,24 @@ def _judge(
                 if n_weak == 3
                 else f"{n_weak} of 3 directions are not determined"
             )
-        innovation = se2.log(se2.between(T_predicted, T_free))
-        nis = (
-            mahalanobis2(innovation, cov_predicted + covariance_of(graph_information))
-            if n_weak < 3
-            else np.nan
+        nis = _kernels.innovate(
+            T_predicted, T_free, cov_predicted, graph_information, information, innovation, cov_match
         )
+        nis = nis if n_weak < 3 else np.nan
         _kernels.fuse(cov_predicted, cov_own_predicted, gain_information, cov_own, cov_map, cov)
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(
         status=match_status,
         T_ref_base=se2.between(local_map.anchor.T_local_base, T_free),
         innovation=innovation,
-        cov=covariance_of(information),
+        cov=cov_match,
         information=information,
         graph_information=graph_information,
         hessian_information=gain_information,
         cov_common=cov_common,
         nis=nis,
         n_iterations=solution.iterations,
-        n_correspondences=n_pairs,
+        n_correspondences=int(n_pairs),
         inlier_ratio=solution.inlier_ratio,
         residual_m=residual_m,
         reason=reason,

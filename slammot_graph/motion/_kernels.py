@@ -1,11 +1,13 @@
-"""Kernels of the moving-point test: end-point covariances, ellipses on the grid, clusters of beams."""
+"""Kernels of the moving-point test: end-point covariances, ellipses on the grid, what is seen through."""
 
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from slammot_graph._numba import kernel
-from slammot_graph.motion.reasons import DISCARDED, FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
+from slammot_graph.motion.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
+from slammot_graph.se2 import transform_points
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 
@@ -153,209 +155,138 @@ def ellipse_test(
 
 
 @kernel
-def near_places(
-    points: FloatArray, reason: IntArray, places: FloatArray, reach: float, out: BoolArray
-) -> bool:
-    """Mark in `out` the UNKNOWN or DISCARDED points within `reach` [m] of a place (k, 2); tell whether there is one."""
-    is_any = False
-    for k in range(points.shape[0]):
-        out[k] = False
-        if reason[k] != UNKNOWN and reason[k] != DISCARDED:
-            continue
-        for m in range(places.shape[0]):
-            if math.hypot(points[k, 0] - places[m, 0], points[k, 1] - places[m, 1]) < reach:
-                out[k] = True
-                is_any = True
-                break
-    return is_any
+def test_beams(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    resolution: float,
+    oldest: int,
+    is_fixed: bool,
+    l_free: float,
+    l_occupied: float,
+    points_base: FloatArray,
+    ranges: FloatArray,
+    directions_base: FloatArray,
+    origin_base: FloatArray,
+    is_valid: BoolArray,
+    T: FloatArray,
+    cov_pose: FloatArray,
+    range_std: float,
+    angle_std: float,
+    n_sigma: float,
+    max_cells: int,
+    margin_cells: int,
+    points: FloatArray,
+    cov: FloatArray,
+    reason: IntArray,
+) -> None:
+    """Put a scan at the pose `T` and test it: fills its `points` (n, 2), their `cov` (n, 3) and `reason` (n,)."""
+    transform_points(T, points_base, points)
+    end_point_covariances(ranges, directions_base, origin_base, T[2], cov_pose, range_std, angle_std, cov)
+    ellipse_test(
+        log_odds,
+        stamp,
+        row0,
+        col0,
+        resolution,
+        oldest,
+        is_fixed,
+        l_free,
+        l_occupied,
+        points,
+        cov,
+        is_valid,
+        n_sigma,
+        max_cells,
+        margin_cells,
+        reason,
+    )
+
+
+@kernel
+def _beam_towards(
+    x: float, y: float, directions: FloatArray, angle_first: float, angle_increment: float, guess: int
+) -> int:
+    """Number of the beam nearest to the direction (x, y), which may lie outside the scan; `guess` is near it, or not."""
+    if 0 <= guess < directions.shape[0]:
+        along = directions[guess, 0] * x + directions[guess, 1] * y
+        aside = directions[guess, 0] * y - directions[guess, 1] * x
+        if abs(aside) < 0.1 * along:
+            t = aside / along
+            turned = t * (1.0 - t * t * (1.0 / 3.0 - 0.2 * t * t))  # its arc tangent, to 1e-8 rad
+            number = guess + math.floor(turned / angle_increment + 0.5)
+            if 0 <= number < directions.shape[0]:
+                return int(number)
+    turn = math.copysign(2.0 * math.pi, angle_increment)
+    angle = math.atan2(y, x) - angle_first
+    angle -= turn * math.floor(angle / turn)
+    number = math.floor(angle / angle_increment + 0.5)
+    return int(number)
 
 
 @kernel
 def seen_through(
     points: FloatArray,
     is_used: BoolArray,
-    T_laser: FloatArray,
-    angle_min: float,
+    T_base: FloatArray,
+    origin_base: FloatArray,
+    directions_base: FloatArray,
+    angle_first: float,
     angle_increment: float,
     ranges: FloatArray,
     is_valid: BoolArray,
     margin: float,
     min_run: int,
-    out: BoolArray,
-) -> None:
-    """Mark in `out` the used points, in beam order, that the beams of a later scan pass by at least `margin` [m].
+    out: FloatArray,
+) -> int:
+    """Gather in `out` the used points, in beam order, that the beams of a later scan pass by at least `margin` [m].
 
     The beam towards a point and both its neighbours must be valid and reach beyond it; runs of fewer than `min_run`
-    such points, with no other used one in between, do not count. `T_laser` is in the frame of the points.
+    such points, with no other used one in between, do not count. `T_base` is in the frame of the points, beam 0 of the
+    later scan has the direction `angle_first` in the base frame. Returns their number.
     """
-    c = math.cos(T_laser[2])
-    s = math.sin(T_laser[2])
-    turn = math.copysign(2.0 * math.pi, angle_increment)
-    first = -1
+    c = math.cos(T_base[2])
+    s = math.sin(T_base[2])
+    laser_x = T_base[0] + c * origin_base[0] - s * origin_base[1]
+    laser_y = T_base[1] + s * origin_base[0] + c * origin_base[1]
+    n_gone = 0
     run = 0
+    m = -1
+    last = 0
     for k in range(points.shape[0]):
-        out[k] = False
         if not is_used[k]:
             continue
-        dx = points[k, 0] - T_laser[0]
-        dy = points[k, 1] - T_laser[1]
-        angle = math.atan2(-s * dx + c * dy, c * dx + s * dy) - angle_min
-        angle -= turn * math.floor(angle / turn)
-        m = math.floor(angle / angle_increment + 0.5)
+        dx = points[k, 0] - laser_x
+        dy = points[k, 1] - laser_y
+        m = _beam_towards(
+            c * dx + s * dy, -s * dx + c * dy, directions_base, angle_first, angle_increment, m + k - last
+        )
+        last = k
         passes = m >= 1 and m < ranges.shape[0] - 1
         if passes:
             past = math.sqrt(dx * dx + dy * dy) + margin
             for i in range(m - 1, m + 2):
                 passes = passes and is_valid[i] and ranges[i] > past
         if not passes:
+            if run < min_run:
+                n_gone -= run
             run = 0
             continue
+        out[n_gone, 0] = points[k, 0]
+        out[n_gone, 1] = points[k, 1]
+        n_gone += 1
         run += 1
-        first = k if run == 1 else first
-        if run == min_run:
-            for i in range(first, k):
-                out[i] = is_used[i]
-        out[k] = run >= min_run
+    return n_gone - run if run < min_run else n_gone
 
 
 @kernel
-def cluster_beams(
-    points: FloatArray, is_member: BoolArray, max_gap: float, max_skipped_beams: int, out: IntArray
-) -> int:
-    """Label member beams with cluster numbers from 0 (-1 for others): subsets by distance, along the scan.
-
-    A beam joins the cluster of any member among the `max_skipped_beams` + 1 beams before it that is nearer than
-    `max_gap` [m]; two clusters that a beam ties together become one. Returns the number of clusters.
-    """
-    n = points.shape[0]
-    gap2 = max_gap * max_gap
-    parent = np.empty(n, dtype=np.int64)
-    for k in range(n):
-        parent[k] = k
-        if not is_member[k]:
-            continue
-        for m in range(max(0, k - max_skipped_beams - 1), k):
-            if not is_member[m]:
-                continue
-            dx = points[k, 0] - points[m, 0]
-            dy = points[k, 1] - points[m, 1]
-            if dx * dx + dy * dy <= gap2:
-                a = m
-                while parent[a] != a:
-                    a = parent[a]
-                b = k
-                while parent[b] != b:
-                    b = parent[b]
-                parent[max(a, b)] = min(a, b)
-    n_clusters = 0
-    for k in range(n):
-        out[k] = -1
-        if not is_member[k]:
-            continue
-        if parent[k] == k:
-            out[k] = n_clusters
-            n_clusters += 1
-        else:
-            a = parent[k]
-            while parent[a] != a:
-                a = parent[a]
-            out[k] = out[a]
-    return n_clusters
-
-
-@kernel
-def discard_clusters(
-    points: FloatArray,
-    labels: IntArray,
-    n_clusters: int,
-    min_points: int,
-    max_x_range: float,
-    max_y_range: float,
-    is_kept: BoolArray,
+def pack_masks(
+    is_valid: BoolArray, is_moving: BoolArray, reason: IntArray, out: "npt.NDArray[np.uint8]"
 ) -> None:
-    """Mark in `is_kept` (n_clusters,) the clusters with enough points and within MAX X RANGE and MAX Y RANGE."""
-    counts = np.zeros(n_clusters, dtype=np.int64)
-    box = np.empty((n_clusters, 4))
-    for k in range(labels.shape[0]):
-        c = labels[k]
-        if c < 0:
-            continue
-        x = points[k, 0]
-        y = points[k, 1]
-        if counts[c] == 0:
-            box[c, 0] = x
-            box[c, 1] = x
-            box[c, 2] = y
-            box[c, 3] = y
-        else:
-            box[c, 0] = min(box[c, 0], x)
-            box[c, 1] = max(box[c, 1], x)
-            box[c, 2] = min(box[c, 2], y)
-            box[c, 3] = max(box[c, 3], y)
-        counts[c] += 1
-    for c in range(n_clusters):
-        is_kept[c] = (
-            counts[c] >= min_points
-            and box[c, 1] - box[c, 0] <= max_x_range
-            and box[c, 3] - box[c, 2] <= max_y_range
-        )
-
-
-@kernel
-def cluster_evidence(
-    log_odds: "np.ndarray",
-    stamp: "np.ndarray",
-    row0: int,
-    col0: int,
-    inv_resolution: float,
-    oldest: int,
-    l_min: float,
-    points: FloatArray,
-    ranges: FloatArray,
-    cluster: IntArray,
-    reason: IntArray,
-    expected: FloatArray,
-    max_range: float,
-    out: FloatArray,
-) -> None:
-    """Fill `out` (n_clusters, 8) with what speaks for each cluster; see `probability.NAMES`."""
-    n_clusters = out.shape[0]
-    sums = np.zeros((n_clusters, 6))  # points, ranges, on free cells, log odds, x, y
-    box = np.empty((n_clusters, 4))
-    for k in range(cluster.shape[0]):
-        c = cluster[k]
-        if c < 0:
-            continue
-        x = points[k, 0]
-        y = points[k, 1]
-        i = (math.floor(y * inv_resolution) - row0) & (log_odds.shape[0] - 1)
-        j = (math.floor(x * inv_resolution) - col0) & (log_odds.shape[1] - 1)
-        if sums[c, 0] == 0.0:
-            box[c, 0] = box[c, 1] = x
-            box[c, 2] = box[c, 3] = y
-        box[c, 0] = min(box[c, 0], x)
-        box[c, 1] = max(box[c, 1], x)
-        box[c, 2] = min(box[c, 2], y)
-        box[c, 3] = max(box[c, 3], y)
-        sums[c, 0] += 1.0
-        sums[c, 1] += ranges[k]
-        sums[c, 2] += 1.0 if reason[k] == FREE else 0.0
-        sums[c, 3] += log_odds[i, j] if stamp[i, j] >= oldest else 0.0
-        sums[c, 4] += x
-        sums[c, 5] += y
-    for c in range(n_clusters):
-        n = sums[c, 0]
-        width = math.sqrt((box[c, 1] - box[c, 0]) ** 2 + (box[c, 3] - box[c, 2]) ** 2)
-        nearest2 = np.inf
-        for m in range(expected.shape[0]):
-            dx = expected[m, 0] - sums[c, 4] / n
-            dy = expected[m, 1] - sums[c, 5] / n
-            nearest2 = min(nearest2, dx * dx + dy * dy)
-        out[c, 0] = 1.0
-        out[c, 1] = math.log(n)
-        out[c, 2] = min(sums[c, 1] / n, max_range)
-        out[c, 3] = 1.0 - sums[c, 2] / n
-        out[c, 4] = 1.0 if sums[c, 2] == 0.0 else 0.0
-        out[c, 5] = max(sums[c, 3] / n - l_min, 0.0)
-        out[c, 6] = math.log(1.0 + width)
-        out[c, 7] = 1.0 if nearest2 < 0.36 else 0.0
+    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell."""
+    for k in range(is_valid.shape[0]):
+        bits = 1 if is_valid[k] else 0
+        bits += 2 if is_moving[k] else 0
+        bits += 4 if reason[k] == OCCUPIED else 0
+        out[k] = bits

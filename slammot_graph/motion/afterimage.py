@@ -8,10 +8,10 @@ al. 2014 do it for maps.)
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from slammot_graph import se2
 from slammot_graph.errors import ConfigError
 from slammot_graph.motion import _kernels
 from slammot_graph.scan import Scan
@@ -50,12 +50,12 @@ class AfterimageConfig:
             raise ConfigError(f"afterimage.min_run must be at least 1, not {self.min_run}")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Seen:
-    """A scan of the last moments, in the local frame."""
+class _Seen(NamedTuple):
+    """A scan of the last moments: when and where it was taken, and its points, in the local frame."""
 
-    stamp: float
-    T_local_base: FloatArray
+    stamp_s: float
+    x: float
+    y: float
     points: FloatArray
     is_valid: BoolArray
 
@@ -67,35 +67,42 @@ class Afterimage:
         self.config = config
         self._seen: deque[_Seen] = deque()
 
-    def remember(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> None:
-        """Take in a scan of n beams at its matched pose (3,), with its valid returns (n,)."""
+    def remember(
+        self, stamp_s: float, T_local_base: FloatArray, points: FloatArray, is_valid: BoolArray
+    ) -> None:
+        """Take in a scan at its matched pose (3,): its points (n, 2) [m], local frame, and which are returns (n,)."""
         if self.config.reach_m > 0.0:
-            points = scan.points(T_local_base)
-            seen = _Seen(stamp=scan.stamp, T_local_base=T_local_base, points=points, is_valid=is_valid)
-            self._seen.append(seen)
+            x, y, _ = T_local_base.tolist()
+            self._seen.append(_Seen(stamp_s, x, y, points, is_valid))
 
     def emptied(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> FloatArray:
         """(k, 2) points [m] of an earlier scan that this one, at its pose (3,), sees through; local frame."""
-        while len(self._seen) > 1 and self._is_old(self._seen[1], scan, T_local_base):
+        x, y = T_local_base[:2].tolist()
+        while len(self._seen) > 1 and self._is_old(self._seen[1], scan.stamp, x, y):
             self._seen.popleft()
-        if not self._seen or not self._is_old(self._seen[0], scan, T_local_base):
+        if not self._seen or not self._is_old(self._seen[0], scan.stamp, x, y):
             return np.empty((0, 2))
         earlier = self._seen[0]
-        is_gone = np.empty(len(earlier.points), dtype=np.bool_)
-        _kernels.seen_through(
+        laser = scan.laser
+        gone = np.empty_like(earlier.points)
+        n_gone = _kernels.seen_through(
             earlier.points,
             earlier.is_valid,
-            se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
-            scan.laser.angle_min,
-            scan.laser.angle_increment,
+            T_local_base,
+            laser.origin_base,
+            laser.directions_base,
+            laser.angle_min + laser.T_base_laser[2],
+            laser.angle_increment,
             scan.ranges,
             is_valid,
             self.config.margin_m,
             self.config.min_run,
-            is_gone,
+            gone,
         )
-        return earlier.points[is_gone]
+        return gone[:n_gone]
 
-    def _is_old(self, seen: _Seen, scan: Scan, T_local_base: FloatArray) -> bool:
-        way_m = math.dist(T_local_base[:2].tolist(), seen.T_local_base[:2].tolist())
-        return bool(way_m >= self.config.way_m or scan.stamp - seen.stamp >= self.config.age_s)
+    def _is_old(self, seen: _Seen, stamp_s: float, x: float, y: float) -> bool:
+        return (
+            math.hypot(x - seen.x, y - seen.y) >= self.config.way_m
+            or stamp_s - seen.stamp_s >= self.config.age_s
+        )

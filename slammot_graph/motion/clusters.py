@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.errors import ConfigError
-from slammot_graph.motion import _kernels
+from slammot_graph.motion import _cluster_kernels
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 
@@ -68,35 +68,17 @@ def find_clusters(points: FloatArray, is_member: BoolArray, config: ClusterConfi
         Cluster number from 0; -1 for points that are not members or were discarded.
     n_clusters : int
     """
-    labels = np.full(len(points), -1, dtype=np.int64)
-    if not is_member.any():
-        return labels, 0
-    is_kept = _group(points, is_member, config, config.max_gap_m, config.min_points, labels)
-    if is_kept.all():
-        return labels, len(is_kept)
-    if config.split_gap_m > 0.0:
-        is_wide = is_member & ~is_kept[labels]
-        parts = np.empty_like(labels)
-        is_part_kept = _group(points, is_wide, config, config.split_gap_m, config.split_min_points, parts)
-        labels[is_wide] = parts[is_wide] + len(is_kept)
-        is_kept = np.concatenate([is_kept, is_part_kept])
-    number = np.full(len(is_kept) + 1, -1, dtype=np.int64)  # the last entry serves label -1
-    number[:-1][is_kept] = np.arange(np.count_nonzero(is_kept))
-    return number[labels], int(np.count_nonzero(is_kept))
-
-
-def _group(
-    points: FloatArray,
-    is_member: BoolArray,
-    config: ClusterConfig,
-    max_gap_m: float,
-    min_points: int,
-    labels: IntArray,
-) -> BoolArray:
-    """Label the subsets from 0, -1 for others; returns which of them are kept."""
-    n = _kernels.cluster_beams(points, is_member, max_gap_m, config.max_skipped_beams, labels)
-    is_kept = np.zeros(n, dtype=np.bool_)
-    _kernels.discard_clusters(
-        points, labels, n, min_points, config.max_x_range_m, config.max_y_range_m, is_kept
+    labels = np.empty(len(points), dtype=np.int64)
+    n_clusters = _cluster_kernels.find_clusters(
+        points,
+        is_member,
+        config.max_gap_m,
+        config.max_skipped_beams,
+        config.min_points,
+        config.max_x_range_m,
+        config.max_y_range_m,
+        config.split_gap_m,
+        config.split_min_points,
+        labels,
     )
-    return is_kept
+    return labels, n_clusters

@@ -7,14 +7,11 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.errors import ConfigError
 from slammot_graph.grid import OccupancyGrid
-from slammot_graph.motion import _kernels, reasons
-from slammot_graph.motion.clusters import ClusterConfig, find_clusters
+from slammot_graph.motion import _cluster_kernels, _kernels, reasons
+from slammot_graph.motion.clusters import ClusterConfig
 from slammot_graph.scan import Scan
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
-MOVING_REASONS: BoolArray = np.isin(
-    np.arange(len(reasons.REASONS)), (reasons.FREE, reasons.TRACKED, reasons.EMPTIED)
-)
 CONSENSUS = 0.8
 """Share of the sigma points' weight at which a beam must be on free cells."""
 
@@ -100,11 +97,14 @@ class Detection:
 
         Returns centres (k, 2), their covariances (k, 2, 2), the beams of each, and whether free cells prove it (k,).
         """
-        beams = [np.flatnonzero(self.cluster == c) for c in range(self.n_clusters)]
-        centres = np.array([points[b].mean(axis=0) for b in beams]).reshape(-1, 2)
-        covs = np.array([self.packed_cov[b].mean(axis=0) for b in beams]).reshape(-1, 3)
-        is_proven = np.array([(self.reason[b] == reasons.FREE).any() for b in beams], dtype=np.bool_)
-        return centres, unpack_covariances(covs), beams, is_proven
+        k = self.n_clusters
+        centres, covs, is_proven = np.empty((k, 2)), np.empty((k, 2, 2)), np.empty(k, dtype=np.bool_)
+        starts, beams = np.empty(k + 1, dtype=np.int64), np.empty(len(points), dtype=np.int64)
+        if k:
+            _cluster_kernels.cluster_moments(
+                points, self.packed_cov, self.cluster, self.reason, centres, covs, is_proven, starts, beams
+            )
+        return centres, covs, [beams[starts[c] : starts[c + 1]] for c in range(k)], is_proven
 
     @classmethod
     def nothing(cls, is_valid: BoolArray) -> "Detection":
@@ -129,24 +129,6 @@ class Detection:
         )
 
 
-def _packed_covariances(
-    scan: Scan, T_a_base: FloatArray, cov_pose: FloatArray, config: MotionConfig
-) -> FloatArray:
-    """(n, 3) xx, xy, yy of `end_point_covariances`."""
-    packed = np.empty((len(scan.ranges), 3))
-    _kernels.end_point_covariances(
-        scan.ranges,
-        scan.laser.directions_base,
-        scan.laser.origin_base,
-        float(T_a_base[2]),
-        cov_pose,
-        config.range_std_m,
-        config.angle_std_rad,
-        packed,
-    )
-    return packed
-
-
 def unpack_covariances(packed: FloatArray) -> FloatArray:
     """(n, 2, 2) matrices of (n, 3) rows xx, xy, yy."""
     return packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -169,7 +151,18 @@ def end_point_covariances(
     -------
     (n, 2, 2) array [m^2].
     """
-    return unpack_covariances(_packed_covariances(scan, T_a_base, cov_pose, config))
+    packed = np.empty((len(scan.ranges), 3))
+    _kernels.end_point_covariances(
+        scan.ranges,
+        scan.laser.directions_base,
+        scan.laser.origin_base,
+        float(T_a_base[2]),
+        cov_pose,
+        config.range_std_m,
+        config.angle_std_rad,
+        packed,
+    )
+    return unpack_covariances(packed)
 
 
 def detect_moving(
@@ -203,48 +196,49 @@ def detect_moving(
     emptied_reach_m : float
         Beams on unknown cells move if they end this near to such a place.
     """
-    points = scan.points(T_a_base)
-    packed = _packed_covariances(scan, T_a_base, cov_pose, config)
+    points, packed, reason = _test(scan, is_valid, T_a_base, cov_pose, grid, config)
     if config.is_common_mode:
         reason = _test_at_sigma_points(scan, is_valid, T_a_base, cov_pose, grid, config)
-    else:
-        reason = _test(points, packed, is_valid, grid, config)
-    is_free = reason == reasons.FREE
-    cluster, n_clusters = find_clusters(points, is_free, clusters)
-    is_moving = cluster >= 0
-    reason[is_free & ~is_moving] = reasons.DISCARDED
-    for places, reach_m, why, min_points in (
-        (emptied, emptied_reach_m, reasons.EMPTIED, clusters.min_points),
-        (expected, config.track_reach_m, reasons.TRACKED, 1),
-    ):
-        is_near = _is_near(points, reason, places, reach_m)
-        if is_near is not None:
-            reason[is_near] = why
-            groups = replace(clusters, min_points=min_points)
-            cluster, n_clusters = find_clusters(points, is_moving | is_near, groups)
-            is_moving = cluster >= 0
-            reason[is_near & ~is_moving] = reasons.DISCARDED
-    is_dropped = ~is_moving & MOVING_REASONS[reason]  # as when a wider group took them in
-    if is_dropped.any():
-        reason[is_dropped] = reasons.DISCARDED
-    detection = Detection(
-        is_moving=is_moving,
-        reason=reason,
-        cluster=cluster,
-        n_clusters=n_clusters,
-        packed_cov=packed,
+    cluster, is_moving = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.bool_)
+    n_clusters = _cluster_kernels.group_moving(
+        points,
+        is_valid,
+        _NOWHERE if emptied is None else emptied,
+        emptied_reach_m,
+        _NOWHERE if expected is None else expected,
+        config.track_reach_m,
+        config.stand_back_share,
+        clusters.max_gap_m,
+        clusters.max_skipped_beams,
+        clusters.min_points,
+        clusters.max_x_range_m,
+        clusters.max_y_range_m,
+        clusters.split_gap_m,
+        clusters.split_min_points,
+        reason,
+        cluster,
+        is_moving,
     )
-    if n_clusters and np.count_nonzero(is_moving) > config.stand_back_share * np.count_nonzero(is_valid):
-        return detection.stand_back()
-    return detection
+    return Detection(
+        is_moving=is_moving, reason=reason, cluster=cluster, n_clusters=n_clusters, packed_cov=packed
+    )
+
+
+_NOWHERE: FloatArray = np.empty((0, 2))
 
 
 def _test(
-    points: FloatArray, packed: FloatArray, is_valid: BoolArray, grid: OccupancyGrid, config: MotionConfig
-) -> IntArray:
-    """(n,) reasons: what the cells under each ellipse say."""
-    reason = np.empty(len(points), dtype=np.int64)
-    _kernels.ellipse_test(
+    scan: Scan,
+    is_valid: BoolArray,
+    T_a_base: FloatArray,
+    cov_pose: FloatArray,
+    grid: OccupancyGrid,
+    config: MotionConfig,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """End points (n, 2), their packed covariances (n, 3), and reasons (n,): what the cells under each ellipse say."""
+    n = len(is_valid)
+    points, packed, reason = np.empty((n, 2)), np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    _kernels.test_beams(
         grid.log_odds,
         grid.stamp,
         grid.row0,
@@ -254,15 +248,23 @@ def _test(
         not grid.is_rolling,
         grid.l_free,
         grid.l_occupied,
-        points,
-        packed,
+        scan.points_base(),
+        scan.ranges,
+        scan.laser.directions_base,
+        scan.laser.origin_base,
         is_valid,
+        T_a_base,
+        cov_pose,
+        config.range_std_m,
+        config.angle_std_rad,
         config.n_sigma,
         config.max_cells,
         config.margin_cells,
+        points,
+        packed,
         reason,
     )
-    return reason
+    return points, packed, reason
 
 
 def _test_at_sigma_points(
@@ -280,24 +282,10 @@ def _test_at_sigma_points(
     """
     offsets = np.sqrt(3.0) * np.linalg.cholesky(cov_pose).T
     poses = se2.compose(T_a_base[None, :], se2.exp(np.vstack([np.zeros((1, 3)), offsets, -offsets])))
-    found = []
-    for T in poses:
-        own = _packed_covariances(scan, T, np.zeros((3, 3)), config)
-        found.append(_test(scan.points(T), own, is_valid, grid, config))
-    reason_at = np.array(found)
+    exact = np.zeros((3, 3))
+    reason_at = np.array([_test(scan, is_valid, T, exact, grid, config)[2] for T in poses])
     n_hits = np.count_nonzero(reason_at == reasons.OCCUPIED, axis=1)
     weights = np.exp((n_hits - n_hits.max()) / max(0.02 * np.count_nonzero(is_valid), 1.0))
     is_free = (weights @ (reason_at == reasons.FREE)) > CONSENSUS * weights.sum()
     best = reason_at[np.argmax(n_hits)]
     return np.where(is_free, reasons.FREE, np.where(best == reasons.FREE, reasons.UNKNOWN, best))
-
-
-def _is_near(
-    points: FloatArray, reason: IntArray, places: FloatArray | None, reach_m: float
-) -> BoolArray | None:
-    """(n,) beams on unknown cells, or too few for a cluster, that end near one of the places; None for none."""
-    if places is None or not len(places) or not reach_m > 0.0:
-        return None
-    is_near = np.empty(len(points), dtype=np.bool_)
-    is_any = _kernels.near_places(points, reason, places, reach_m, is_near)
-    return is_near if is_any else None

@@ -8,7 +8,7 @@ of chairs look like that. Beams that were not called moving have the share of mo
 import numpy as np
 
 from slammot_graph.grid import OccupancyGrid
-from slammot_graph.motion import _kernels, reasons
+from slammot_graph.motion import _cluster_kernels, reasons
 from slammot_graph.motion.ellipse import Detection
 from slammot_graph.types import FloatArray
 
@@ -63,7 +63,7 @@ def cluster_evidence(
     (n_clusters, 8) array
     """
     evidence = np.empty((detection.n_clusters, len(NAMES)))
-    _kernels.cluster_evidence(
+    _cluster_kernels.cluster_evidence(
         grid.log_odds,
         grid.stamp,
         grid.row0,

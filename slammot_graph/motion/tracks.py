@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.errors import ConfigError
+from slammot_graph.motion import _track_kernels
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 
@@ -89,12 +90,13 @@ class Tracker:
         self.tracks: list[Track] = []
         self._stamp_s: float | None = None
         self._next_id = 0
+        self._centre_cov = config.centre_std_m**2 * np.eye(2)
 
     def expected(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have walked should be at a stamp [s], tracker's frame."""
         dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
-        states = [track.state for track in self.walked()]
-        return np.array([state[:2] + dt * state[2:] for state in states]).reshape(-1, 2)
+        states = np.array([track.state for track in self.walked()]).reshape(-1, 4)
+        return states[:, :2] + dt * states[:, 2:]
 
     def walked(self) -> list[Track]:
         """Confirmed tracks of objects that have walked."""
@@ -102,7 +104,7 @@ class Tracker:
             track
             for track in self.tracks
             if track.n_hits >= self.config.n_confirm
-            and math.dist(track.state[:2], track.start) >= self.config.min_way_m
+            and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_way_m
         ]
 
     def update(
@@ -139,76 +141,47 @@ class Tracker:
             self._stamp_s = stamp_s  # the clock was set back for good
         if not self.tracks and not len(centres):
             return []
-        proven = np.ones(len(centres), dtype=np.bool_) if is_proven is None else is_proven
-        F, Q = self._motion(dt)
-        predicted = [self._predict(track, dt, F, Q) for track in self.tracks]
-        noise = centre_covs + self.config.centre_std_m**2 * np.eye(2)
-        pairs = self._assign(predicted, centres, noise)
-        joined = {
-            t: self._correct(predicted[t], centres[c], noise[c], beams[c], bool(proven[c])) for t, c in pairs
-        }
-        taken = {c for _, c in pairs}
-        kept = [
-            joined.get(t, track)
-            for t, track in enumerate(predicted)
-            if track.missed_s <= self.config.max_missed_s or (t in joined and joined[t].missed_s == 0.0)
+        proven = [True] * len(centres) if is_proven is None else is_proven.tolist()
+        noise = centre_covs + self._centre_cov
+        states = np.array([track.state for track in self.tracks]).reshape(-1, 4)
+        covs = np.array([track.cov for track in self.tracks]).reshape(-1, 4, 4)
+        _track_kernels.predict(states, covs, dt, self.config.acceleration_std_m_s2)
+        cluster_of = self._assign(states, covs, centres, noise)
+        _track_kernels.correct(states, covs, centres, noise, cluster_of)
+        joined = cluster_of.tolist()
+        followed = [
+            _follow(track, state, cov, dt, beams[c], proven[c])
+            if c >= 0
+            else _follow(track, state, cov, dt, None, False)
+            for track, state, cov, c in zip(self.tracks, states, covs, joined, strict=True)
         ]
+        kept = [track for track in followed if track.missed_s <= self.config.max_missed_s]
         begun = [
             self._begin(centres[c], noise[c], beams[c])
             for c in range(len(centres))
-            if c not in taken and proven[c]
+            if proven[c] and c not in joined
         ]
         self.tracks = kept + begun
         return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
 
-    def _motion(self, dt: float) -> tuple[FloatArray, FloatArray]:
-        """Transition (4, 4) and process noise (4, 4) over a time [s]."""
-        F = np.eye(4)
-        F[0, 2] = F[1, 3] = dt
-        G = np.array([[dt * dt / 2, 0], [0, dt * dt / 2], [dt, 0], [0, dt]])
-        return F, self.config.acceleration_std_m_s2**2 * G @ G.T
+    def _assign(
+        self, states: FloatArray, covs: FloatArray, centres: FloatArray, noise: FloatArray
+    ) -> IntArray:
+        """(n,) cluster joined to each track, -1 for none: of least total Mahalanobis distance within the gate."""
+        gate = self.config.gate
+        costs = np.empty((len(states), len(centres)))
+        cluster_of = np.empty(len(states), dtype=np.int64)
+        _track_kernels.pair_costs(states, covs, centres, noise, gate, costs)
+        # with a gate as wide as that, a pair within it may cost more than one outside
+        if gate < _track_kernels.OUTSIDE and _track_kernels.join_nearest(costs, cluster_of):
+            return cluster_of
+        from scipy.optimize import linear_sum_assignment  # half a second, not needed before tracks compete
 
-    def _predict(self, track: Track, dt: float, F: FloatArray, Q: FloatArray) -> Track:
-        return Track(
-            track_id=track.track_id,
-            state=F @ track.state,
-            cov=F @ track.cov @ F.T + Q,
-            start=track.start,
-            n_hits=track.n_hits,
-            missed_s=track.missed_s + dt,
-            beams=np.empty(0, dtype=np.int64),
-        )
-
-    def _assign(self, tracks: list[Track], centres: FloatArray, noise: FloatArray) -> list[tuple[int, int]]:
-        """Pairs (track, cluster) of least total Mahalanobis distance within the gate."""
-        if not tracks or not len(centres):
-            return []
-        offset = centres[None, :, :] - np.array([track.state[:2] for track in tracks])[:, None, :]
-        S = np.array([track.cov[:2, :2] for track in tracks])[:, None] + noise[None]
-        distance2 = np.einsum("tci,tcij,tcj->tc", offset, np.linalg.inv(S), offset)
-        cost = np.where(distance2 <= self.config.gate, distance2, 1e6)
-        if cost.size == 1:
-            return [(0, 0)] if cost[0, 0] <= self.config.gate else []
-        from scipy.optimize import linear_sum_assignment  # half a second, not needed before there are tracks
-
-        rows, cols = linear_sum_assignment(cost)
-        return [(int(t), int(c)) for t, c in zip(rows, cols, strict=True) if cost[t, c] <= self.config.gate]
-
-    def _correct(
-        self, track: Track, centre: FloatArray, noise: FloatArray, beams: IntArray, is_proven: bool
-    ) -> Track:
-        S = track.cov[:2, :2] + noise
-        K = np.linalg.solve(S, track.cov[:2, :]).T
-        cov = track.cov - K @ track.cov[:2, :]
-        return Track(
-            track_id=track.track_id,
-            state=track.state + K @ (centre - track.state[:2]),
-            cov=0.5 * (cov + cov.T),
-            start=track.start,
-            n_hits=track.n_hits + 1,
-            missed_s=0.0 if is_proven else track.missed_s,
-            beams=beams,
-        )
+        rows, cols = linear_sum_assignment(costs)
+        is_within = costs[rows, cols] <= gate
+        cluster_of[:] = -1
+        cluster_of[rows[is_within]] = cols[is_within]
+        return cluster_of
 
     def _begin(self, centre: FloatArray, noise: FloatArray, beams: IntArray) -> Track:
         cov = np.zeros((4, 4))
@@ -224,3 +197,18 @@ class Tracker:
             missed_s=0.0,
             beams=beams,
         )
+
+
+def _follow(
+    track: Track, state: FloatArray, cov: FloatArray, dt: float, beams: IntArray | None, is_proven: bool
+) -> Track:
+    """Give the track a scan later, `dt` [s], with the beams of the cluster joined to it; None: only predicted."""
+    return Track(
+        track_id=track.track_id,
+        state=state,
+        cov=cov,
+        start=track.start,
+        n_hits=track.n_hits if beams is None else track.n_hits + 1,
+        missed_s=0.0 if is_proven else track.missed_s + dt,
+        beams=np.empty(0, dtype=np.int64) if beams is None else beams,
+    )

@@ -23,7 +23,7 @@ def seen_through_twin(
     is_valid: BoolArray,
     margin: float,
     min_run: int,
-) -> BoolArray:
+) -> FloatArray:
     """The kernel in plain NumPy: nearest beam by angle, both its neighbours, runs among the used points."""
     local = se2.transform(se2.inverse(T_laser), points)
     step = angles[1] - angles[0]
@@ -43,32 +43,54 @@ def seen_through_twin(
         if len(run) >= min_run:
             out[run] = True
         run = []
-    return out
+    return points[out]
 
 
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 1.0]))
-def test_the_kernel_equals_its_twin(seed: int, sense: float) -> None:
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([-1.0, 1.0]), st.sampled_from([4.0, 6.2]), st.booleans())
+def test_the_kernel_equals_its_twin(seed: int, sense: float, field_rad: float, is_smooth: bool) -> None:
     rng = np.random.default_rng(seed)
-    n = 40
-    angles = sense * (-2.0 + np.linspace(0.0, 4.0, 61))
-    points = np.cumsum(rng.normal(0.0, 0.4, (n, 2)), axis=0) + rng.normal(0.0, 2.0, 2)
-    T_laser = rng.normal(0.0, 1.0, 3)
-    ranges, is_valid, is_used = rng.uniform(0.5, 8.0, 61), rng.random(61) > 0.05, rng.random(n) > 0.1
+    n, n_beams = 40, 61
+    angles = sense * (-2.0 + np.linspace(0.0, field_rad, n_beams))
+    if is_smooth:  # as one scan sees another: each point near the beam of its own number
+        about = np.linspace(angles[0] - 0.2 * sense, angles[-1] + 0.2 * sense, n) + rng.normal(0.0, 0.02, n)
+        points = rng.uniform(1.0, 6.0, n)[:, None] * np.column_stack([np.cos(about), np.sin(about)])
+        T_base, T_base_laser = rng.normal(0.0, 0.1, (2, 3))
+    else:
+        points = np.cumsum(rng.normal(0.0, 0.4, (n, 2)), axis=0) + rng.normal(0.0, 2.0, 2)
+        T_base, T_base_laser = rng.normal(0.0, 1.0, (2, 3))
+    ranges, is_valid, is_used = (
+        rng.uniform(0.5, 8.0, n_beams),
+        rng.random(n_beams) > 0.05,
+        rng.random(n) > 0.1,
+    )
+    in_base = angles + T_base_laser[2]
     for min_run in (1, 3):
-        out = np.empty(n, dtype=bool)
-        _kernels.seen_through(
-            points, is_used, T_laser, angles[0], angles[1] - angles[0], ranges, is_valid, 0.1, min_run, out
+        out = np.empty((n, 2))
+        n_gone = _kernels.seen_through(
+            points,
+            is_used,
+            T_base,
+            T_base_laser[:2].copy(),
+            np.column_stack([np.cos(in_base), np.sin(in_base)]),
+            in_base[0],
+            angles[1] - angles[0],
+            ranges,
+            is_valid,
+            0.1,
+            min_run,
+            out,
         )
+        T_laser = se2.compose(T_base, T_base_laser)
         twin = seen_through_twin(points, is_used, T_laser, angles, ranges, is_valid, 0.1, min_run)
-        np.testing.assert_array_equal(out, twin)
+        np.testing.assert_array_equal(out[:n_gone], twin)
 
 
 def emptied(before: list[list[float]], after: list[list[float]], seconds: float = 2.0) -> FloatArray:
     """Places that are empty after `seconds`, with discs (x, y, radius) before and after."""
     memory = Afterimage(AfterimageConfig())
     first = take_scan(AT_REST, walls=ROOM, discs=before)
-    memory.remember(first, AT_REST, first.is_valid())
+    memory.remember(first.stamp, AT_REST, first.points(AT_REST), first.is_valid())
     later = take_scan(AT_REST, index=1, walls=ROOM, discs=after)
     object.__setattr__(later, "stamp", first.stamp + seconds)
     return memory.emptied(later, AT_REST, later.is_valid())

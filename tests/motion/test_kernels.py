@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from slammot_graph import se2
-from slammot_graph.motion import _kernels
+from slammot_graph.motion import _cluster_kernels, _kernels
 from slammot_graph.motion.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
 from slammot_graph.types import FloatArray, IntArray
 
@@ -217,7 +217,7 @@ def test_clusters_are_connected_components(seed: int, max_skipped: int) -> None:
     rng = np.random.default_rng(seed)
     points, is_member = rng.uniform(0.0, 2.0, (40, 2)), rng.random(40) < 0.6
     out = np.empty(40, dtype=np.int64)
-    n = _kernels.cluster_beams(points, is_member, 0.3, max_skipped, out)
+    n = _cluster_kernels.cluster_beams(points, is_member, 0.3, max_skipped, out)
     np.testing.assert_array_equal(out, connected(points, is_member, 0.3, max_skipped))
     assert n == out.max(initial=-1) + 1
 
@@ -228,7 +228,7 @@ def test_discarded_clusters_are_too_small_or_too_wide(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points, labels = rng.uniform(0.0, 1.0, (30, 2)), rng.integers(-1, 7, 30)
     kept = np.zeros(7, dtype=bool)
-    _kernels.discard_clusters(points, labels, 7, 3, 0.8, 0.6, kept)
+    _cluster_kernels.discard_clusters(points, labels, 7, 3, 0.8, 0.6, kept)
     for c in range(7):
         mine = points[labels == c]
         fits = len(mine) >= 3 and bool((np.ptp(mine, axis=0) <= [0.8, 0.6]).all())
