@@ -22,6 +22,7 @@ from experiments.freiburg import (
 from experiments.tables import Table
 from slammot_graph import se2
 from slammot_graph.evaluation import absolute_error
+from slammot_graph.matching import NO_NODE
 from slammot_graph.simulation import SimulatedLog, scenarios, simulate
 from slammot_graph.simulation.worlds import World, world_named
 from slammot_graph.types import FloatArray
@@ -69,7 +70,9 @@ def recall(run: WatchedRun, T_world_nodes: FloatArray) -> tuple[int, int]:
     submaps = run.closer.submaps
     if not submaps:
         return 0, 0
-    centres = np.array([T_world_nodes[[k.node for k in s.keyframes], :2].mean(axis=0) for s in submaps])
+    centres = np.array(
+        [T_world_nodes[[k.node for k in s.keyframes if k.node != NO_NODE], :2].mean(axis=0) for s in submaps]
+    )
     path_m = np.array([s.path_m for s in submaps])
     closed = {edge.to_node for edge in closures_of(run.result)}
     n_found = n_possible = 0

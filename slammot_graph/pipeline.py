@@ -209,11 +209,16 @@ class Pipeline:
         p_moving = probability_of_moving(detection, points, scan.ranges, self.grid, hints.expected)
         is_static = is_valid & ~detection.is_moving
         watch.lap("detect")
-        node, events = self.localizer.commit(scan, points_base, is_static)
+        node, is_keyframe, events = self.localizer.commit(scan, points_base, is_static)
         if self.localizer.n_times_lost > self._n_times_lost:
             self._forget(scan)
         watch.lap("graph")
-        self._update_map(scan, points, is_valid, is_static, matched, node)
+        if node is not None:
+            self._node_scans.append(len(self._judged))
+        if is_keyframe:
+            self._in_window.append(scan.index)
+            self.grid.oldest = max(self._in_window[0], self._first_remembered)
+        self._update_map(scan, points, is_valid, is_static, matched)
         watch.lap("map")
         tracks = self._track(scan, detection, points)
         is_doubtful = match is not None and match.status == "failed"
@@ -391,13 +396,8 @@ class Pipeline:
         is_valid: BoolArray,
         is_static: BoolArray,
         matched: Estimate,
-        node: int | None,
     ) -> None:
         """Static points occupy, all beams free the cells they cross."""
-        if node is not None:
-            self._node_scans.append(len(self._judged))
-            self._in_window.append(scan.index)
-            self.grid.oldest = max(self._in_window[0], self._first_remembered)
         T = matched.T_local_base
         ends, is_beam = points, is_valid
         if self.config.free_no_return_m > 0.0:

@@ -38,7 +38,8 @@ class LoopClosureConfig:
     n_candidates, n_candidates_lost : int
         Local maps that are looked at per finished one, the nearest first; and while the robot is lost.
     n_known : int
-        A local map that closes with so many earlier ones shows nothing new: it is not looked at again.
+        A local map that closes with so many earlier ones is a known place: it is not looked at again, and the graph
+        gets no more nodes there than its local maps hang on.
     min_score : float
         Share of the best possible agreement that the search must reach.
     min_overlap : float
@@ -66,7 +67,7 @@ class LoopClosureConfig:
     max_search_rad: float = 0.8
     n_candidates: int = 3
     n_candidates_lost: int = 7
-    n_known: int = 3
+    n_known: int = 1
     min_score: float = 0.38
     min_overlap: float = 0.55
     max_contradiction: float = 0.2
@@ -138,7 +139,18 @@ def _attempt(
 
 
 class LoopCloser:
-    """Looks at each finished local map, and tells the graph when the robot has come back."""
+    """Looks at each finished local map, and tells the graph when the robot has come back.
+
+    Attributes
+    ----------
+    submaps : list of Submap
+        Those that later ones are compared with.
+    accepted : list of (Closure, GraphEdge)
+    pending : list of Closure
+        Those that wait for others to confirm them.
+    is_known : bool
+        The latest local map shows a known place.
+    """
 
     N_PREPARED = 64
 
@@ -148,6 +160,7 @@ class LoopCloser:
         self.submaps: list[Submap] = []
         self.accepted: list[tuple[Closure, GraphEdge]] = []
         self.pending: list[Closure] = []
+        self.is_known = False
         self._joined = {0}
         self._votes: dict[int, list[Closure]] = {}
         self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
@@ -171,7 +184,8 @@ class LoopCloser:
             else:
                 attempts.append(self.decide(closure, T_predicted, cov))
         n_accepted = sum(attempt.status == "accepted" for attempt in attempts)
-        if n_accepted >= self.config.n_known:
+        self.is_known = n_accepted >= self.config.n_known
+        if self.is_known:
             self.submaps.remove(submap)
         if n_accepted:
             attempts += self.take_back()

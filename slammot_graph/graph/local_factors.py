@@ -1,19 +1,29 @@
 """The pose graph's factors around the local map, and the marginal covariances of its keyframes from them alone."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from slammot_graph.errors import SlammotError
 from slammot_graph.graph import _kernels
-from slammot_graph.result_types import GraphEdge
 from slammot_graph.types import FloatArray
 
 MAP = -1
-"""Number of the local map itself among the nodes."""
+"""Number of the local map itself among the keyframes."""
 
 _BARELY = 1e-4 * np.eye(3)
 """Information that ties each node to the local map, so that the system can be solved [1/m^2, 1/rad^2]."""
 
 _FIRMLY = 1e8 * np.eye(3)
+
+
+class _Factor(NamedTuple):
+    """The pose of a keyframe in the frame of another one, or of the local map."""
+
+    from_keyframe: int
+    to_keyframe: int
+    T_from_to: FloatArray
+    information: FloatArray
 
 
 class LocalFactors:
@@ -26,54 +36,61 @@ class LocalFactors:
     """
 
     def __init__(self) -> None:
-        self._edges: list[GraphEdge] = []
+        self._n_keyframes = 0
+        self._edges: list[_Factor] = []
 
-    def start(self, node: int, T_local_base: FloatArray) -> None:
+    def start(self, T_local_base: FloatArray) -> None:
         """Begin with a first keyframe, which defines where the local map lies."""
-        self._edges = [_on_map(node, T_local_base, _FIRMLY)]
+        self._n_keyframes = 1
+        self._edges = [_Factor(MAP, 0, T_local_base, _FIRMLY)]
 
-    def add(self, odometry: GraphEdge, T_local_base: FloatArray, match_information: FloatArray) -> None:
-        """Add a keyframe: its odometry factor, its pose in the local map and what its match tells of that.
+    def add(
+        self,
+        T_last_this: FloatArray,
+        odometry_information: FloatArray,
+        T_local_base: FloatArray,
+        match_information: FloatArray,
+    ) -> None:
+        """Add a keyframe: its way from the last one, its pose in the local map and what its match tells of that.
 
-        The information (3, 3) is zero where there was no match.
+        The match's information (3, 3) is zero where there was none.
         """
-        self._edges += [odometry, _on_map(odometry.to_node, T_local_base, match_information + _BARELY)]
+        this = self._n_keyframes
+        self._n_keyframes += 1
+        self._edges += [
+            _Factor(this - 1, this, T_last_this, odometry_information),
+            _Factor(MAP, this, T_local_base, match_information + _BARELY),
+        ]
 
-    def relative_to(self, anchor: int) -> FloatArray:
-        """Move on to a new anchor and forget what lies before it.
+    def of_latest(self, n: int) -> FloatArray:
+        """Move on to a new anchor, the first of the latest n keyframes, and forget what lies before it.
 
         Returns
         -------
-        (k, 3, 3) array
-            Marginal covariances of the anchor and all later keyframes relative to the anchor, right perturbation (body
-            frames): of the linearised graph of these factors, with the anchor held.
+        (n, 3, 3) array
+            Marginal covariances of these keyframes relative to the anchor, right perturbation (body frames): of the
+            linearised graph of their factors, with the anchor held.
 
         Raises
         ------
         SlammotError
             The information of a factor is not positive semi-definite.
         """
+        anchor = self._n_keyframes - n
         self._edges = [
-            e for e in self._edges if e.to_node >= anchor and (e.from_node == MAP or e.from_node >= anchor)
+            e
+            for e in self._edges
+            if e.to_keyframe >= anchor and (e.from_keyframe == MAP or e.from_keyframe >= anchor)
         ]
-        keyframes = sorted({edge.to_node for edge in self._edges})
-        place = {
-            MAP: len(keyframes) - 1,
-            **{node: k - 1 for k, node in enumerate(keyframes)},
-        }  # the anchor is held
-        covs = np.zeros((len(keyframes) + 1, 3, 3))
+        # the anchor is held, the local map comes last
+        from_nodes = [n - 1 if e.from_keyframe == MAP else e.from_keyframe - anchor - 1 for e in self._edges]
+        covs = np.zeros((n + 1, 3, 3))
         if not _kernels.block_covariances(
-            np.array([place[edge.from_node] for edge in self._edges]),
-            np.array([place[edge.to_node] for edge in self._edges]),
-            np.array([edge.T_from_to for edge in self._edges]),
-            np.array([edge.information for edge in self._edges]),
+            np.array(from_nodes),
+            np.array([e.to_keyframe - anchor - 1 for e in self._edges]),
+            np.array([e.T_from_to for e in self._edges]),
+            np.array([e.information for e in self._edges]),
             covs[1:],
         ):
-            raise SlammotError(f"the covariances of the local map at node {anchor} cannot be solved for")
+            raise SlammotError("the covariances of the local map's keyframes cannot be solved for")
         return covs[:-1]
-
-
-def _on_map(node: int, T_local_base: FloatArray, information: FloatArray) -> GraphEdge:
-    return GraphEdge(
-        kind="match", from_node=MAP, to_node=node, T_from_to=T_local_base, information=information
-    )

@@ -44,10 +44,10 @@ class DeadReckoning:
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, list[str]]:
+    ) -> tuple[int | None, bool, list[str]]:
         """See `Localizer`."""
         self._history.append(self.estimate)
-        return None, []
+        return None, False, []
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`; there is no graph."""

@@ -87,10 +87,11 @@ class Localizer(Protocol):
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, list[str]]:
+    ) -> tuple[int | None, bool, list[str]]:
         """Keep the scan: in the graph and the local map where it brings something new.
 
-        Returns the number of the node that was added, if any, and what a person should know.
+        Returns the number of the node that was added, if any, whether it became a keyframe, and what a person should
+        know.
         """
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:

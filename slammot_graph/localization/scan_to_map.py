@@ -13,6 +13,7 @@ from slammot_graph.linalg import invert
 from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
 from slammot_graph.localization.visits import Visits
 from slammot_graph.matching import (
+    NO_NODE,
     Keyframe,
     LocalMap,
     LocalMapConfig,
@@ -94,12 +95,14 @@ class ScanToMap:
             cov_odometry=np.zeros((3, 3)),
             doubt=0.0,
         )
-        # since the last node
+        # since the last keyframe, and since the last node
+        self._T_odom_keyframe: FloatArray = se2.IDENTITY
+        self._cov_since_node: FloatArray = np.zeros((3, 3))
         self._T_odom_node: FloatArray = se2.IDENTITY
         self._T_local_node: FloatArray = se2.IDENTITY
         self._T_map_local: FloatArray = se2.IDENTITY
         self._cov_odometry: FloatArray = np.zeros((3, 3))
-        self._cov_node: FloatArray = FIRST_COV
+        self._cov_keyframe: FloatArray = FIRST_COV
         self._n_failed = 0
         self._n_blind = 0
         self._T_odom_seen: FloatArray = se2.IDENTITY
@@ -214,7 +217,7 @@ class ScanToMap:
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, list[str]]:
+    ) -> tuple[int | None, bool, list[str]]:
         """See `Localizer`."""
         events: list[str] = []
         self._closures = ()
@@ -233,8 +236,11 @@ class ScanToMap:
         else:
             self._n_blind += 1
         node = None
-        if len(self.graph) == 0 or (has_points and self.local_map.wants(self._T_local_base)):
-            node = self._add_node(scan)
+        is_keyframe = len(self.graph) == 0 or (has_points and self.local_map.wants(self._T_local_base))
+        if is_keyframe:
+            self._follow_keyframes(scan)
+            if self._needs_node():
+                node = self._add_node(scan)
             if has_points:
                 events += self._add_keyframe(node, scan, points_base, is_static)
         anchor, T_anchor_base = self._from_anchor()
@@ -242,7 +248,7 @@ class ScanToMap:
         self._visits.append(
             len(self.graph) - 1, T_node_base, anchor, T_anchor_base, self._cov_own + self._cov_common
         )
-        return node, events
+        return node, is_keyframe, events
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`."""
@@ -321,6 +327,29 @@ class ScanToMap:
         self._n_submaps += 1
         return Submap(self._n_submaps - 1, keyframes, self._path_m, self.n_times_lost)
 
+    def _follow_keyframes(self, scan: Scan) -> None:
+        """Carry what is known since the last node on to a new keyframe, and since the anchor."""
+        if len(self.graph):
+            way = se2.between(self._T_odom_keyframe, scan.T_odom_base)
+            information = np.zeros((3, 3)) if self._match is None else self._match.information
+            self.local_factors.add(way, invert(self._cov_odometry), self._T_local_base, information)
+            self._cov_since_node = se2.compound_covariance(self._cov_since_node, way, self._cov_odometry)
+            self._cov_keyframe = se2.compound_covariance(self._cov_keyframe, way, self._cov_odometry)
+            if self._match is not None and self._match.status != "failed":
+                self._cov_keyframe = fuse(self._cov_keyframe, self._match)
+        self._T_odom_keyframe = scan.T_odom_base
+        self._cov_odometry = np.zeros((3, 3))
+
+    def _needs_node(self) -> bool:
+        """Tell whether a new keyframe goes into the graph: in a known place only where a local map hangs on it.
+
+        That is the keyframe that finishes the local map, and those at which a later one begins.
+        """
+        n, config = len(self.local_map.keyframes), self.local_map.config
+        if n == 0 or self.closer is None or not self.closer.is_known:
+            return True
+        return n == config.max_keyframes - 1 or n % (config.max_keyframes - config.n_overlap) == 0
+
     def _add_node(self, scan: Scan) -> int:
         """Add the scan to the graph, tied by odometry to the last node and by the match to the anchor."""
         if len(self.graph) == 0:
@@ -330,31 +359,29 @@ class ScanToMap:
             last = len(self.graph) - 1
             T_map_node = se2.compose(self._T_map_local, self._T_local_base)
             node = self.graph.add_node(T_map_node)
-            T_last_node = se2.between(self._T_odom_node, scan.T_odom_base)
-            odometry = self.graph.add_edge("odometry", last, node, T_last_node, invert(self._cov_odometry))
-            is_matched = self._match is not None and self._match.status != "failed"
-            if self._match is not None and is_matched and self.local_map.keyframes:
+            way = se2.between(self._T_odom_node, scan.T_odom_base)
+            self.graph.add_edge("odometry", last, node, way, invert(self._cov_since_node))
+            if self._match is not None and self._match.status != "failed" and self.local_map.keyframes:
                 anchor, T_anchor_node = self.local_map.anchor.node, self._match.T_ref_base
                 self.graph.add_edge("match", anchor, node, T_anchor_node, self._match.graph_information)
-                self.local_factors.add(odometry, self._T_local_base, self._match.information)
-            else:
-                self.local_factors.add(odometry, self._T_local_base, np.zeros((3, 3)))
-            self._cov_node = se2.compound_covariance(self._cov_node, T_last_node, self._cov_odometry)
-            if self._match is not None and is_matched:
-                self._cov_node = fuse(self._cov_node, self._match)
         self._T_local_node = self._T_local_base
         self._T_map_local = se2.compose(T_map_node, se2.inverse(self._T_local_node))
         self._T_odom_node = scan.T_odom_base
-        self._cov_odometry = np.zeros((3, 3))
+        self._cov_since_node = np.zeros((3, 3))
         self._node_scans.append(scan.index)
         return node
 
     def _add_keyframe(
-        self, node: int, scan: Scan, points_base: FloatArray, is_static: BoolArray
+        self, node: int | None, scan: Scan, points_base: FloatArray, is_static: BoolArray
     ) -> list[str]:
-        """Add the node's scan to the local map; look for loops where that finished it."""
+        """Add the keyframe's scan to the local map; look for loops where that finished it."""
         keyframe = make_keyframe(
-            node, self._T_local_base, points_base, is_static, scan.laser, self.local_map.config
+            NO_NODE if node is None else node,
+            self._T_local_base,
+            points_base,
+            is_static,
+            scan.laser,
+            self.local_map.config,
         )
         is_first = not self.local_map.keyframes
         finished = self.local_map.add(keyframe, None if is_first else self._cov_own)
@@ -363,16 +390,16 @@ class ScanToMap:
             _, self._closures = self.closer.consider(self._submap(finished))
             events = [attempt.text for attempt in self._closures]
         anchor = self.local_map.anchor.node
-        if is_first or finished:
+        if node is not None and (is_first or finished):
             self._T_map_local = se2.compose(self.graph.pose(node), se2.inverse(self._T_local_node))
             self._cov_anchor = self.graph.marginal(anchor)
-            self._cov_node = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
+            self._cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
         if is_first:
-            self.local_factors.start(node, self._T_local_base)
+            self.local_factors.start(self._T_local_base)
             self._cov_own, self._cov_common = FIRST_COV, np.zeros((3, 3))
         elif finished:
-            covs = self.local_factors.relative_to(anchor)
+            covs = self.local_factors.of_latest(len(self.local_map.keyframes))
             self.local_map.set_covariances(covs)
             self._cov_own = covs[-1]
-        self._cov_prior = self._cov_node
+        self._cov_prior = self._cov_keyframe
         return events

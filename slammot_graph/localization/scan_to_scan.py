@@ -42,7 +42,7 @@ class ScanToScan(DeadReckoning):
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, list[str]]:
+    ) -> tuple[int | None, bool, list[str]]:
         """See `Localizer`."""
         self._reference = points_base, is_static
         return super().commit(scan, points_base, is_static)

@@ -69,6 +69,10 @@ class LocalMapConfig:
             raise ConfigError("local_map needs 1 <= n_overlap < max_keyframes")
 
 
+NO_NODE = -1
+"""In place of the node of a keyframe that is none."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Keyframe:
     """A scan that became part of a local map.
@@ -76,7 +80,7 @@ class Keyframe:
     Attributes
     ----------
     node : int
-        Its node in the pose graph.
+        Its node in the pose graph, or `NO_NODE`.
     T_local_base : (3,) array
         Where the local matching placed it.
     points_base, normals_base : (m, 2) arrays

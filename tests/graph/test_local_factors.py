@@ -5,7 +5,6 @@ import pytest
 
 from slammot_graph import se2
 from slammot_graph.graph import LocalFactors, PoseGraph, PoseGraphConfig
-from slammot_graph.result_types import GraphEdge
 from slammot_graph.types import FloatArray
 
 STEP = np.array([0.3, 0.02, 0.15])
@@ -14,11 +13,7 @@ FIRM = 1e8 * np.eye(3)
 BARE = 1e-4 * np.eye(3)
 
 
-def odometry(k: int, cov: FloatArray = COV_ODOMETRY, step: FloatArray = STEP) -> GraphEdge:
-    """From keyframe k - 1 to keyframe k."""
-    return GraphEdge(
-        kind="odometry", from_node=k - 1, to_node=k, T_from_to=step, information=np.linalg.inv(cov)
-    )
+INFORMATION_ODOMETRY = np.linalg.inv(COV_ODOMETRY)
 
 
 def poses_of(n: int, step: FloatArray = STEP) -> FloatArray:
@@ -33,12 +28,12 @@ def random_information(rng: np.random.Generator) -> FloatArray:
     return np.asarray(root.T @ root)
 
 
-def filled(informations: list[FloatArray], first: int = 0, step: FloatArray = STEP) -> LocalFactors:
-    """A chain of keyframes numbered from `first`, each with its match but the first."""
+def filled(informations: list[FloatArray], step: FloatArray = STEP) -> LocalFactors:
+    """A chain of keyframes, each with its match but the first."""
     factors, poses = LocalFactors(), poses_of(len(informations) + 1, step)
-    factors.start(first, poses[0])
+    factors.start(poses[0])
     for k, information in enumerate(informations, start=1):
-        factors.add(odometry(first + k, step=step), poses[k], information)
+        factors.add(step, INFORMATION_ODOMETRY, poses[k], information)
     return factors
 
 
@@ -65,9 +60,9 @@ def test_covariances_are_those_of_the_pose_graph_with_a_node_for_the_map(
         match = FIRM if keyframe == 0 else informations[keyframe - 1] + BARE
         graph.add_edge("match", 0, node, poses[keyframe], match)
         if keyframe > anchor:
-            graph.add_edge("odometry", node - 1, node, STEP, np.linalg.inv(COV_ODOMETRY))
+            graph.add_edge("odometry", node - 1, node, STEP, INFORMATION_ODOMETRY)
     graph.update()
-    covs = filled(informations).relative_to(anchor)
+    covs = filled(informations).of_latest(7 - anchor)
     assert covs.shape == (7 - anchor, 3, 3)
     np.testing.assert_array_equal(covs[0], np.zeros((3, 3)))
     for keyframe, cov in zip(range(anchor + 1, 7), covs[1:], strict=True):
@@ -76,20 +71,19 @@ def test_covariances_are_those_of_the_pose_graph_with_a_node_for_the_map(
         np.testing.assert_allclose(cov / scale, expected / scale, atol=0.01)
 
 
-def test_where_the_whole_lies_and_how_it_is_numbered_does_not_matter(rng: np.random.Generator) -> None:
+def test_where_the_whole_lies_does_not_matter(rng: np.random.Generator) -> None:
     informations = [random_information(rng) for _ in range(5)]
-    expected = filled(informations).relative_to(2)
-    np.testing.assert_allclose(filled(informations, first=40).relative_to(42), expected, rtol=1e-9)
+    expected = filled(informations).of_latest(4)
     factors, far = LocalFactors(), np.array([50.0, 20.0, -2.0])
     poses = se2.compose(far[None], poses_of(6))
-    factors.start(0, poses[0])
+    factors.start(poses[0])
     for k, information in enumerate(informations, start=1):
-        factors.add(odometry(k), poses[k], information)
-    np.testing.assert_allclose(factors.relative_to(2), expected, rtol=1e-4, atol=1e-10)
+        factors.add(STEP, INFORMATION_ODOMETRY, poses[k], information)
+    np.testing.assert_allclose(factors.of_latest(4), expected, rtol=1e-4, atol=1e-10)
 
 
 def test_without_matches_the_odometry_adds_up() -> None:
-    covs = filled([np.zeros((3, 3))] * 5).relative_to(0)
+    covs = filled([np.zeros((3, 3))] * 5).of_latest(6)
     expected = np.zeros((3, 3))
     for cov in covs[1:]:
         expected = se2.compound_covariance(expected, STEP, COV_ODOMETRY)
@@ -100,25 +94,21 @@ def test_what_lies_before_the_anchor_is_forgotten(rng: np.random.Generator) -> N
     informations = [random_information(rng) for _ in range(8)]
     others = [random_information(rng) for _ in range(3)] + informations[3:]
     factors, twin = filled(informations), filled(others)
-    np.testing.assert_allclose(factors.relative_to(4)[1:], twin.relative_to(4)[1:], rtol=1e-9)
+    np.testing.assert_allclose(factors.of_latest(5)[1:], twin.of_latest(5)[1:], rtol=1e-9)
     # again from the same anchor, and by way of it to a later one
-    np.testing.assert_allclose(factors.relative_to(4), twin.relative_to(4), rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(
-        factors.relative_to(6), filled(informations).relative_to(6), rtol=1e-9, atol=1e-15
-    )
-    assert len(factors.relative_to(8)) == 1
+    np.testing.assert_allclose(factors.of_latest(5), twin.of_latest(5), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(factors.of_latest(3), filled(informations).of_latest(3), rtol=1e-9, atol=1e-15)
+    assert len(factors.of_latest(1)) == 1
 
 
 def test_beginning_anew_forgets_everything(rng: np.random.Generator) -> None:
     informations = [random_information(rng) for _ in range(3)]
     factors = filled([random_information(rng) for _ in range(6)])
-    factors.start(7, poses_of(1)[0])
+    factors.start(poses_of(1)[0])
     poses = poses_of(4)
     for k, information in enumerate(informations, start=1):
-        factors.add(odometry(7 + k), poses[k], information)
-    np.testing.assert_allclose(
-        factors.relative_to(7), filled(informations).relative_to(0), rtol=1e-9, atol=1e-15
-    )
+        factors.add(STEP, INFORMATION_ODOMETRY, poses[k], information)
+    np.testing.assert_allclose(factors.of_latest(4), filled(informations).of_latest(4), rtol=1e-9, atol=1e-15)
 
 
 STRAIGHT = np.array([0.3, 0.0, 0.0])
@@ -127,12 +117,12 @@ STRAIGHT = np.array([0.3, 0.0, 0.0])
 def grown(information: FloatArray, n_maps: int = 6, n_overlap: int = 8, n_full: int = 15) -> FloatArray:
     """(maps, n_overlap, 3, 3) covariances on each change of map, along a straight way."""
     factors, poses = LocalFactors(), poses_of(n_full + 7 * n_maps, STRAIGHT)
-    factors.start(0, poses[0])
+    factors.start(poses[0])
     covs, last = [], n_full - 1
     for k in range(1, len(poses)):
-        factors.add(odometry(k, step=STRAIGHT), poses[k], information)
+        factors.add(STRAIGHT, INFORMATION_ODOMETRY, poses[k], information)
         if k == last and len(covs) < n_maps:
-            covs.append(factors.relative_to(k - n_overlap + 1))
+            covs.append(factors.of_latest(n_overlap))
             last += n_full - n_overlap
     return np.array(covs)
 
@@ -155,6 +145,6 @@ def test_in_a_room_errors_do_not_grow_from_map_to_map() -> None:
 
 
 def test_covariances_are_symmetric_and_positive(rng: np.random.Generator) -> None:
-    covs = filled([random_information(rng) for _ in range(7)]).relative_to(1)
+    covs = filled([random_information(rng) for _ in range(7)]).of_latest(7)
     np.testing.assert_array_equal(covs, np.swapaxes(covs, 1, 2))
     assert (np.linalg.eigvalsh(covs[1:]) > 0.0).all()

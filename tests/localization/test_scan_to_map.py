@@ -37,7 +37,7 @@ def step(
     points, is_valid = scan.points_base(), scan.is_valid(max_range)
     predicted = localizer.predict(scan)
     matched, match = localizer.match(points, is_valid)
-    node, events = localizer.commit(scan, points, is_valid)
+    node, _, events = localizer.commit(scan, points, is_valid)
     return predicted, matched, match, node, events
 
 

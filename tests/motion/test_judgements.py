@@ -69,5 +69,5 @@ def test_a_full_disk_is_told_in_one_line(rng: np.random.Generator, monkeypatch: 
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(kept._file, "write", full)
-    with pytest.raises(SlammotError, match="No space left on device.*TMPDIR"):
+    with pytest.raises(SlammotError, match=r"No space left on device.*TMPDIR"):
         kept.append(**judged_scans(rng, 1)[0])

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse.csgraph import connected_components
 
 from slammot_graph import se2
-from slammot_graph.motion import _cluster_kernels, _kernels
+from slammot_graph.motion import _kernels
 from slammot_graph.motion.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
 from slammot_graph.types import FloatArray, IntArray
 
@@ -198,38 +197,3 @@ def test_nothing_moves_on_an_unknown_grid(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cov = random_cov(rng, [0.1, 0.1])
     assert run_ellipse_test(np.zeros((32, 32)), rng.uniform(-3.0, 3.0, 2), cov) == UNKNOWN
-
-
-def connected(points: FloatArray, is_member: np.ndarray, max_gap: float, max_skipped: int) -> IntArray:
-    """Clusters by SciPy's connected components, numbered by their first beams."""
-    number = np.flatnonzero(is_member)
-    near = np.linalg.norm(points[number][:, None] - points[number][None], axis=-1) <= max_gap
-    _, labels = connected_components(near & (np.abs(number[:, None] - number[None]) <= max_skipped + 1))
-    firsts = list(dict.fromkeys(labels.tolist()))
-    out = np.full(len(points), -1)
-    out[number] = [firsts.index(label) for label in labels]
-    return out
-
-
-@settings(max_examples=50)
-@given(seeds, st.integers(0, 12))
-def test_clusters_are_connected_components(seed: int, max_skipped: int) -> None:
-    rng = np.random.default_rng(seed)
-    points, is_member = rng.uniform(0.0, 2.0, (40, 2)), rng.random(40) < 0.6
-    out = np.empty(40, dtype=np.int64)
-    n = _cluster_kernels.cluster_beams(points, is_member, 0.3, max_skipped, out)
-    np.testing.assert_array_equal(out, connected(points, is_member, 0.3, max_skipped))
-    assert n == out.max(initial=-1) + 1
-
-
-@settings(max_examples=30)
-@given(seeds)
-def test_discarded_clusters_are_too_small_or_too_wide(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    points, labels = rng.uniform(0.0, 1.0, (30, 2)), rng.integers(-1, 7, 30)
-    kept = np.zeros(7, dtype=bool)
-    _cluster_kernels.discard_clusters(points, labels, 7, 3, 0.8, 0.6, kept)
-    for c in range(7):
-        mine = points[labels == c]
-        fits = len(mine) >= 3 and bool((np.ptp(mine, axis=0) <= [0.8, 0.6]).all())
-        assert kept[c] == fits
