@@ -84,17 +84,19 @@ class Liar:
     ever_taken: set[int] = field(default_factory=set)
     believed: list[str] = field(default_factory=list)
     ms: list[float] = field(default_factory=list)
+    finished: list[Submap] = field(default_factory=list)
 
     def __call__(self, closer: LoopCloser, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
         """Put in what is due, as `LoopCloser.consider` does with a closure of its own."""
         changed, attempts = False, list[ClosureAttempt]()
+        self.finished.append(submap)
         for lie in self.lies:
             if lie.source != submap.number:
                 continue
-            target = closer.submaps[lie.target]
+            target = self.finished[lie.target].place
             closure = Closure(
                 target=target,
-                source=submap,
+                source=submap.place,
                 T_target_source=lie.T_target_source,
                 cov=lie.of.cov,
                 information=lie.of.information,
@@ -132,7 +134,7 @@ def accepted_by(closer: LoopCloser) -> list[Closure]:
 
 def lies_at_random(truth: WatchedRun, n: int, rng: np.random.Generator) -> list[Lie]:
     """Pairs from anywhere, said to be the same place: within 3 m and at any angle."""
-    submaps, closures = _closer(truth).submaps, accepted_by(_closer(truth))
+    submaps, closures = truth.submaps, accepted_by(_closer(truth))
     sources = np.sort(rng.integers(2, len(submaps), n))
     lies = []
     for source in sources:
@@ -171,7 +173,7 @@ def lies_in_chorus(truth: WatchedRun, n: int, length_m: float, rng: np.random.Ge
     angle = rng.uniform(-np.pi, np.pi)
     T_map_off = np.array([length_m * np.cos(angle), length_m * np.sin(angle), 0.0])
     nodes = truth.result.nodes
-    submaps = _closer(truth).submaps
+    submaps = truth.submaps
     lies = []
     for k in chosen:
         target, source = pairs[k]
@@ -278,7 +280,7 @@ def _closer(run: WatchedRun) -> LoopCloser:
 
 def _near_pairs(truth: WatchedRun) -> list[tuple[int, int]]:
     """(target, source) of local maps less than 8 m apart with some way between, the nearest of each source."""
-    submaps = _closer(truth).submaps
+    submaps = truth.submaps
     nodes = truth.result.nodes
     centres = np.array([se2.transform(nodes[s.anchor], s.centre[None, :])[0] for s in submaps])
     path_m = np.array([s.path_m for s in submaps])
@@ -292,7 +294,7 @@ def _near_pairs(truth: WatchedRun) -> list[tuple[int, int]]:
 
 
 def _between(truth: WatchedRun, target: int, source: int) -> FloatArray:
-    nodes, submaps = truth.result.nodes, _closer(truth).submaps
+    nodes, submaps = truth.result.nodes, truth.submaps
     return se2.between(nodes[submaps[target].anchor], nodes[submaps[source].anchor])
 
 

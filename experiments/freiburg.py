@@ -93,6 +93,8 @@ class WatchedRun:
     ----------
     result : RunResult
     closer : LoopCloser or None
+    submaps : list of Submap
+        All local maps that were finished, by number.
     cpu_s : float
         CPU time of the whole run, with the reading of the log and the final labels.
     closing_cpu_s : float
@@ -105,6 +107,7 @@ class WatchedRun:
 
     result: RunResult
     closer: LoopCloser | None
+    submaps: list[Submap]
     cpu_s: float
     closing_cpu_s: float
     steps_cpu_s: float
@@ -127,9 +130,11 @@ def run_watched(
     """
     closing_cpu_s = 0.0
     consider = LoopCloser.consider
+    submaps: list[Submap] = []
 
     def watched(closer: LoopCloser, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
         nonlocal closing_cpu_s
+        submaps.append(submap)
         start = time.process_time()
         changed, attempts = consider(closer, submap)
         closing_cpu_s += time.process_time() - start
@@ -156,6 +161,7 @@ def run_watched(
     return WatchedRun(
         result=result,
         closer=getattr(localizer, "closer", None),
+        submaps=submaps,
         cpu_s=cpu_s,
         closing_cpu_s=closing_cpu_s,
         steps_cpu_s=1e-3 * sum(cpu_ms),

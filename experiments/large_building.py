@@ -65,9 +65,7 @@ def recall(run: WatchedRun, T_world_nodes: FloatArray) -> tuple[int, int]:
 
     Overlap: centres less than 2 m apart with more than 8 m of path between.
     """
-    if run.closer is None:
-        return 0, 0
-    submaps = run.closer.submaps
+    submaps = run.submaps
     if not submaps:
         return 0, 0
     centres = np.array(

@@ -15,10 +15,11 @@ from experiments.common import Options, Scores, main, run_cells
 from experiments.freiburg import WRONG_DEG, WRONG_M
 from experiments.tables import Table, number, write_tables
 from slammot_graph import Run, open_log, se2
-from slammot_graph.closure import LoopCloser, Submap
+from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
 from slammot_graph.closure.submap import PreparedSubmap
 from slammot_graph.errors import InputError
 from slammot_graph.logs import LaserLog
+from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.simulation import simulate
 from slammot_graph.types import FloatArray
 
@@ -195,7 +196,8 @@ def ask_density_maps(package: Any, target: Submap, source: Submap, setting: Sett
 def collect(name: str, path: str | None, n_scans: int | None) -> Places:
     """Run `graph` over (the first scans of) a log and give its local maps; truth: the simulation's, or the graph's."""
     log: LaserLog = open_log(path) if path else simulate(name, seed=0)
-    run = Run(log, "graph")
+    keep_all = PipelineConfig(closure=LoopClosureConfig(n_known=1000))
+    run = Run(log, "graph", config=keep_all)
     steps = iter(run)
     for _ in islice(steps, n_scans):
         pass
