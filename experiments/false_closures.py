@@ -100,6 +100,7 @@ class Liar:
                 T_target_source=lie.T_target_source,
                 cov=lie.of.cov,
                 information=lie.of.information,
+                overlap=lie.of.overlap,
             )
             self.told.append(closure)
             start = time.process_time()

@@ -196,7 +196,7 @@ def ask_density_maps(package: Any, target: Submap, source: Submap, setting: Sett
 def collect(name: str, path: str | None, n_scans: int | None) -> Places:
     """Run `graph` over (the first scans of) a log and give its local maps; truth: the simulation's, or the graph's."""
     log: LaserLog = open_log(path) if path else simulate(name, seed=0)
-    keep_all = PipelineConfig(closure=LoopClosureConfig(n_known=1000))
+    keep_all = PipelineConfig(closure=LoopClosureConfig(known_overlap=1.0))
     run = Run(log, "graph", config=keep_all)
     steps = iter(run)
     for _ in islice(steps, n_scans):

@@ -39,19 +39,36 @@ _BARELY.setflags(write=False)
 
 @kernel
 def invert3(a: FloatArray, out: FloatArray) -> bool:
-    """Fill `out` with the inverse of the symmetric matrix `a`, both (3, 3); False where it is singular."""
-    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
-    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
-    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-    determinant = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
-    if determinant == 0.0 or not math.isfinite(determinant):
-        return False
-    out[0, 0] = c00 / determinant
-    out[0, 1] = out[1, 0] = c01 / determinant
-    out[0, 2] = out[2, 0] = c02 / determinant
-    out[1, 1] = (a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]) / determinant
-    out[1, 2] = out[2, 1] = (a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]) / determinant
-    out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]) / determinant
+    """Fill `out` with the inverse of the symmetric matrix `a`, both (3, 3); False where that is not positive definite.
+
+    By Cholesky's factor: cofactors lose all digits where one direction is known far worse than the others.
+    """
+    root = np.zeros((3, 3))
+    back = np.zeros((3, 3))
+    for j in range(3):
+        for i in range(j, 3):
+            rest = a[i, j]
+            for m in range(j):
+                rest -= root[i, m] * root[j, m]
+            if i > j:
+                root[i, j] = rest / root[j, j]
+            elif rest > 0.0 and math.isfinite(rest):
+                root[j, j] = math.sqrt(rest)
+            else:
+                return False
+    for j in range(3):
+        back[j, j] = 1.0 / root[j, j]
+        for i in range(j + 1, 3):
+            rest = 0.0
+            for m in range(j, i):
+                rest -= root[i, m] * back[m, j]
+            back[i, j] = rest / root[i, i]
+    for i in range(3):
+        for j in range(i + 1):
+            out[i, j] = back[i, i] * back[i, j]
+            for m in range(i + 1, 3):
+                out[i, j] += back[m, i] * back[m, j]
+            out[j, i] = out[i, j]
     return True
 
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slammot_graph.linalg import invert, is_covariance, mahalanobis2
+from slammot_graph.linalg import fused, invert, is_covariance, mahalanobis2
 
 
 def positive_definite(seed: int, n: int = 3) -> np.ndarray:
@@ -22,6 +22,30 @@ def test_inverse_inverts_and_is_symmetric(seed: int, n: int) -> None:
 def test_singular_matrix_has_no_inverse() -> None:
     with pytest.raises(np.linalg.LinAlgError):
         invert(np.diag([1.0, 0.0, 2.0]))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3))
+def test_information_taken_together_with_a_prior_adds_to_its_own(seed: int, n_directions: int) -> None:
+    cov, root = positive_definite(seed), np.random.default_rng(seed + 1).normal(size=(3, n_directions))
+    information = root @ root.T  # of the other directions nothing is known
+    together = fused(cov, information)
+    np.testing.assert_allclose(
+        together, np.linalg.inv(np.linalg.inv(cov) + information), rtol=1e-8, atol=1e-8
+    )
+    np.testing.assert_array_equal(together, together.T)
+
+
+@pytest.mark.parametrize(
+    ("cov", "information"),
+    [
+        ([1.0, 0.0, 2.0], [1.0, 1.0, 1.0]),  # certain of a direction
+        ([1.0, 0.5, 2.0], [0.0, -2.0, 0.0]),  # nothing is left of it
+        ([1.0, np.nan, 2.0], [1.0, 1.0, 1.0]),
+    ],
+)
+def test_what_has_no_covariance_is_not_taken_together(cov: list[float], information: list[float]) -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        fused(np.diag(cov), np.diag(information))
 
 
 @given(st.integers(0, 2**32 - 1))

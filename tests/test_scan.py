@@ -2,6 +2,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slammot_graph.errors import ConfigError
 from slammot_graph.scan import LaserModel, Scan
@@ -45,6 +47,23 @@ def test_no_return_nan_negative_and_too_near_are_not_points() -> None:
     expected = [False, False, False, False, False, False, True, True, False, False, False]
     assert scan(ranges).is_valid().tolist() == expected
     assert scan(ranges).is_valid(max_range=5.0).tolist() == [i == 6 for i in range(11)]
+
+
+SPECIAL = [0.0, 1e-3, 0.1, 4.9, 5.0, 9.7, 9.8, 9.9, 10.0, math.nan, math.inf, -math.inf]
+
+
+@given(
+    ranges=st.lists(st.floats(), max_size=8),
+    range_min=st.sampled_from([0.0, 1e-3, 0.1, 5.0]),
+    max_range=st.sampled_from([math.inf, 9.9, 9.7, 5.0, 0.1, 0.0]),
+)
+def test_points_lie_between_the_limits_and_on_neither(
+    ranges: list[float], range_min: float, max_range: float
+) -> None:
+    measured = scan([*ranges, *SPECIAL], laser(n_beams=len(ranges) + len(SPECIAL), range_min=range_min))
+    is_above = measured.ranges > max(range_min, 1e-3)
+    is_below = (measured.ranges < 0.97 * 10.0) & (measured.ranges < max_range)
+    np.testing.assert_array_equal(measured.is_valid(max_range), is_above & is_below)
 
 
 def test_zero_range_is_never_a_point() -> None:

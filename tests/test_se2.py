@@ -155,6 +155,19 @@ def test_marginal_of_gtsam_is_the_compound_of_its_factors(rng: np.random.Generat
     np.testing.assert_allclose(cov, marginal, rtol=1e-6, atol=1e-9)
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(), (0,), (3,), (2, 3)]), poses)
+def test_compound_covariances_of_one_increment_equal_the_matrix_products(
+    seed: int, shape: tuple[int, ...], step: FloatArray
+) -> None:
+    rng = np.random.default_rng(seed)
+    covs, step_cov = rng.normal(size=(*shape, 3, 3)), rng.normal(size=(3, 3))  # symmetric or not
+    A = oracle(step).inverse().AdjointMap()
+    compound = se2.compound_covariance(covs, step, step_cov)
+    assert compound.shape == (*shape, 3, 3)
+    for index in np.ndindex(shape):
+        np.testing.assert_allclose(compound[index], A @ covs[index] @ A.T + step_cov, rtol=1e-9, atol=1e-9)
+
+
 def test_compound_covariance_holds_by_monte_carlo(rng: np.random.Generator) -> None:
     T, step = np.array([1.0, 2.0, 0.5]), np.array([2.0, -1.0, 1.2])
     cov_a, cov_b = covariance(rng, 0.01), covariance(rng, 0.01)

@@ -10,7 +10,7 @@ import pytest
 
 import slammot_graph
 from slammot_graph._numba import is_compiled
-from slammot_graph.se2 import _transform_points
+from slammot_graph.se2 import transform_points
 
 PACKAGE = Path(slammot_graph.__file__).parent
 
@@ -48,7 +48,7 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph._numba import is_compiled
 moved = se2.transform(np.array([1.0, 2.0, 0.0]), np.ones((1, 2)))
-print(se2.__file__, moved.tolist(), is_compiled(se2._transform_points))
+print(se2.__file__, moved.tolist(), is_compiled(se2.transform_points))
 """
 
 
@@ -67,7 +67,7 @@ def test_a_read_only_install_keeps_its_machine_code_in_the_users_cache(tmp_path:
     cache = tmp_path / "cache"
     said = run(USE_A_KERNEL, tmp_path, HOME=str(tmp_path), XDG_CACHE_HOME=str(cache))
     assert said == f"{copy / 'se2.py'} [[2.0, 3.0]] True"
-    assert sorted(tmp_path.rglob("*_transform_points*.nbi"))
+    assert sorted(tmp_path.rglob("*transform_points*.nbi"))
     assert (copy / "__pycache__").is_file()
 
 
@@ -75,7 +75,7 @@ def test_machine_code_goes_where_numba_is_told(tmp_path: Path) -> None:
     copy_without_a_cache(tmp_path)
     said = run(USE_A_KERNEL, tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
     assert said.endswith("True")
-    assert sorted((tmp_path / "kept").rglob("*_transform_points*.nbi"))
+    assert sorted((tmp_path / "kept").rglob("*transform_points*.nbi"))
 
 
 def test_with_no_place_for_machine_code_at_all_kernels_still_work(tmp_path: Path) -> None:
@@ -88,4 +88,4 @@ def test_with_no_place_for_machine_code_at_all_kernels_still_work(tmp_path: Path
 
 def test_is_compiled_of_a_plain_function_is_false() -> None:
     assert not is_compiled(run)
-    assert not is_compiled(_transform_points.py_func)  # type: ignore[attr-defined]
+    assert not is_compiled(transform_points.py_func)  # type: ignore[attr-defined]

@@ -37,9 +37,9 @@ class LoopClosureConfig:
         ... within these bounds.
     n_candidates, n_candidates_lost : int
         Local maps that are looked at per finished one, the nearest first; and while the robot is lost.
-    n_known : int
-        A local map that closes with so many earlier ones is a known place: it is not looked at again, and the graph
-        gets no more nodes there than its local maps hang on.
+    known_overlap : float
+        A local map of which this share lies on an earlier one shows a known place: it is not looked at again, and the
+        graph gets no more nodes there than its local maps hang on.
     min_score : float
         Share of the best possible agreement that the search must reach.
     min_overlap : float
@@ -67,9 +67,9 @@ class LoopClosureConfig:
     max_search_rad: float = 0.8
     n_candidates: int = 3
     n_candidates_lost: int = 7
-    n_known: int = 1
     min_score: float = 0.38
     min_overlap: float = 0.55
+    known_overlap: float = 0.8
     max_contradiction: float = 0.2
     max_ambiguity: float = 0.9
     gate: float = 16.27
@@ -95,10 +95,10 @@ class LoopClosureConfig:
             0.0 < self.min_search_m <= self.max_search_m and 0.0 < self.min_search_rad <= self.max_search_rad
         ):
             raise ConfigError("closure needs 0 < min_search <= max_search, in metres and in radians")
-        for name in ("n_candidates", "n_candidates_lost", "n_known"):
+        for name in ("n_candidates", "n_candidates_lost"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"closure.{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("min_score", "min_overlap", "max_contradiction", "max_ambiguity"):
+        for name in ("min_score", "min_overlap", "known_overlap", "max_contradiction", "max_ambiguity"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(f"closure.{name} must be in [0, 1], not {getattr(self, name)}")
 
@@ -113,6 +113,8 @@ class Closure:
     T_target_source : (3,) array
     cov, information : (3, 3) array
         Right perturbation; no information in directions that the match does not determine.
+    overlap : float
+        Share of the source's points that found a partner.
     """
 
     target: Place
@@ -120,6 +122,7 @@ class Closure:
     T_target_source: FloatArray
     cov: FloatArray
     information: FloatArray
+    overlap: float
 
     def attempt(self, status: ClosureStatus, reason: str) -> ClosureAttempt:
         """What became of it."""
@@ -178,18 +181,19 @@ class LoopCloser:
             else:
                 verified.append((closure, T_target_source, cov))
         self.submaps.append(submap)
+        self.is_known = changed = False
         for closure, T_predicted, cov in verified:
-            if self._is_apart(closure.target, closure.source):
-                attempts.append(self.locate(closure))
-            else:
-                attempts.append(self.decide(closure, T_predicted, cov))
-        n_accepted = sum(attempt.status == "accepted" for attempt in attempts)
-        self.is_known = n_accepted >= self.config.n_known
+            is_apart = self._is_apart(closure.target, closure.source)
+            attempt = self.locate(closure) if is_apart else self.decide(closure, T_predicted, cov)
+            attempts.append(attempt)
+            if attempt.status == "accepted":
+                changed = True
+                self.is_known = self.is_known or closure.overlap >= self.config.known_overlap
         if self.is_known:
             self.submaps.remove(submap)
-        if n_accepted:
+        if changed:
             attempts += self.take_back()
-        return n_accepted > 0, tuple(attempts)
+        return changed, tuple(attempts)
 
     def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> ClosureAttempt:
         """Accept a verified closure now, keep it until another one confirms it, or refuse it."""
@@ -314,11 +318,9 @@ class LoopCloser:
         )
         if match.status == "failed":
             return None, match.reason
-        if (
-            match.n_correspondences < config.min_overlap * len(all_points)
-            or match.inlier_ratio < 0.7 * config.min_overlap
-        ):
-            return None, f"overlap of {100 * match.n_correspondences / len(all_points):.0f}% only"
+        overlap = match.n_correspondences / len(all_points)
+        if overlap < config.min_overlap or match.inlier_ratio < 0.7 * config.min_overlap:
+            return None, f"overlap of {100 * overlap:.0f}% only"
         contradiction = max(
             self._contradiction(prepared, all_points, match.T_ref_base),
             self._contradiction(
@@ -333,6 +335,7 @@ class LoopCloser:
             T_target_source=match.T_ref_base,
             cov=covariance_of(match.graph_information),
             information=match.graph_information,
+            overlap=overlap,
         )
         return closure, ""
 

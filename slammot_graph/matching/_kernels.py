@@ -841,7 +841,8 @@ def innovate(
     for i in range(3):
         for j in range(3):
             barely[i, j] = information[i, j] + (BARELY if i == j else 0.0)
-    invert3(barely, cov)
+    if not invert3(barely, cov):
+        cov[:] = np.nan
     return nis
 
 

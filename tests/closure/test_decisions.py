@@ -67,11 +67,12 @@ def decide(
     nodes = closer.graph.poses()
     measured = se2.between(nodes[target], se2.compose(np.array(moved), nodes[source]))
     closure = Closure(
-        target=submap(target),
-        source=submap(source),
+        target=submap(target).place,
+        source=submap(source).place,
         T_target_source=measured,
         cov=CLOSURE_COV,
         information=np.linalg.inv(CLOSURE_COV),
+        overlap=1.0,
     )
     attempt = closer.decide(closure, se2.between(nodes[target], nodes[source]), cov)
     assert (attempt.target_node, attempt.source_node) == (target, source)

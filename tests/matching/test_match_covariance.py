@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slammot_graph import se2
-from slammot_graph.linalg import mahalanobis2
+from slammot_graph.linalg import covariance_of, mahalanobis2
 from slammot_graph.matching import (
     LocalMap,
     LocalMapConfig,
@@ -349,6 +349,42 @@ def test_fusion_equals_its_twin_and_is_never_below_the_map(seed: int, n_normals:
     # where the map is perfect, Joseph's form alone
     match.cov_map = np.zeros((3, 3))
     np.testing.assert_allclose(fuse(prior, predicted, match), fused, rtol=1e-6, atol=1e-9 * fused.max())
+
+
+# but for half a turn, whose sign is free
+TURNS = [0.0, 1e-9, -9e-7, 2e-6, 0.01, -1.0, 3.1, 3.2, 4.0, 9.0]
+
+
+@pytest.mark.parametrize(
+    ("n_directions", "size"),
+    [(0, 0.1), (1, 0.1), (2, 0.1), (3, 0.1), (1, 100.0), (2, 100.0), (3, 100.0)],
+    ids=str,
+)
+@given(seed=st.integers(0, 10_000), turn=st.sampled_from(TURNS))
+@settings(max_examples=25)
+def test_innovation_equals_its_twin(seed: int, turn: float, n_directions: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    T_predicted = rng.normal(0.0, [20.0, 20.0, 3.0])
+    T_match = se2.compose(T_predicted, np.array([*rng.normal(0.0, 1.0 / size, 2), turn]))
+    # of other directions nothing is known
+    roots = size * rng.normal(size=(2, 3, n_directions))
+    graph_information, information = roots @ np.swapaxes(roots, 1, 2)
+    cov_predicted = random_cov(rng, (1.0 / size, 0.5 / size, 2.0 / size)) + 0.1 / size**2 * np.eye(3)
+    innovation, cov = np.empty(3), np.empty((3, 3))
+    nis = _kernels.innovate(
+        T_predicted, T_match, cov_predicted, graph_information, information, innovation, cov
+    )
+    expected = se2.log(se2.between(T_predicted, T_match))
+    np.testing.assert_allclose(innovation, expected, rtol=1e-9, atol=1e-9)
+    barely = 1e-6 * np.eye(3)
+    cov_match, cov_cautious = np.linalg.inv(information + barely), np.linalg.inv(graph_information + barely)
+    np.testing.assert_allclose(cov, cov_match, rtol=1e-5, atol=1e-6 * cov_match.max())
+    np.testing.assert_array_equal(cov, covariance_of(information))
+    whole = np.linalg.inv(cov_predicted + cov_cautious)
+    assert nis == pytest.approx(expected @ whole @ expected, rel=1e-2)
+    assert nis == pytest.approx(
+        mahalanobis2(expected, cov_predicted + covariance_of(graph_information)), rel=1e-6
+    )
 
 
 def match_at(

@@ -197,3 +197,61 @@ def test_nothing_moves_on_an_unknown_grid(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cov = random_cov(rng, [0.1, 0.1])
     assert run_ellipse_test(np.zeros((32, 32)), rng.uniform(-3.0, 3.0, 2), cov) == UNKNOWN
+
+
+@settings(max_examples=60)
+@given(seeds, st.booleans())
+def test_a_scan_is_put_at_its_pose_and_tested_there(seed: int, is_fixed: bool) -> None:
+    rng = np.random.default_rng(seed)
+    log_odds = rng.choice([-3.0, -1.5, -0.5, 3.0], (32, 32), p=[0.8, 0.16, 0.02, 0.02])
+    stamp, oldest = np.where(rng.random((32, 32)) < 0.02, 4, 5).astype(np.int32), 5
+    row0, col0, margin_cells = rng.integers([-30, -30, 0], [0, 0, 2]).tolist()
+    n, origin, angles = 20, rng.normal(0.0, 0.2, 2), rng.uniform(-4.0, 4.0, 20)
+    directions, ranges = np.column_stack([np.cos(angles), np.sin(angles)]), rng.uniform(0.1, 2.0, n)
+    is_valid = rng.random(n) < 0.9
+    ranges[~is_valid & (rng.random(n) < 0.5)] = np.nan
+    points_base = origin + ranges[:, None] * directions
+    T, cov_pose = rng.normal(0.0, [0.5, 0.5, 2.0]), random_cov(rng, [0.03, 0.03, 0.02])
+    points, packed, reason = np.empty((n, 2)), np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    _kernels.test_beams(
+        log_odds.astype(np.float32),
+        stamp,
+        row0,
+        col0,
+        RESOLUTION,
+        oldest,
+        is_fixed,
+        L_FREE,
+        L_OCCUPIED,
+        points_base,
+        ranges,
+        directions,
+        origin,
+        is_valid,
+        T,
+        cov_pose,
+        0.02,
+        0.007,
+        2.448,
+        40,
+        margin_cells,
+        points,
+        packed,
+        reason,
+    )
+    np.testing.assert_allclose(points, T[:2] + points_base @ se2.rotation(T[2]).T, atol=1e-12)
+    covs = kernel_covariances(ranges, angles, origin, T[2], cov_pose)
+    np.testing.assert_allclose(packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2), covs, atol=1e-15)
+    for k in range(n):
+        assert reason[k] == run_ellipse_test(
+            log_odds,
+            points[k],
+            covs[k],
+            stamp=stamp,
+            oldest=oldest,
+            is_fixed=is_fixed,
+            max_cells=40,
+            margin_cells=margin_cells,
+            is_valid=is_valid[k],
+            cell0=(row0, col0),
+        )
