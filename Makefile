@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.ready-docs
 
-.PHONY: demo test bench docs format clean
+.PHONY: demo test bench docs format clean clean-kernels
 
 demo: $(READY)
 	$(BIN)/slammot-graph demo --output runs/demo
@@ -26,6 +26,9 @@ docs: $(DOCS_READY)
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+clean-kernels:
+	find slammot_graph -name '*.nb[ic]' -delete
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

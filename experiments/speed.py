@@ -12,19 +12,23 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import tyro
 
 from experiments.common import ROOT, Options, say
 from experiments.tables import Table, number, write_tables
-from slammot_graph import open_log
+from slammot_graph import grid, open_log
 from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.matching import point_to_line
 from slammot_graph.methods import get_method
+from slammot_graph.motion import ellipse
 from slammot_graph.run import make_pipeline
 from slammot_graph.scan import Scan
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
@@ -44,6 +48,25 @@ ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "TBB", "NUMBA", "OP
 GATE_LASERS, GATE_SCANS, GATE_ROUNDS = ("lms200", "lowcost360"), 700, 3
 GATE_SLACK = 1.25
 BASELINE = ROOT / "experiments" / "baselines" / "speed.json"
+
+KERNELS = {
+    ellipse._kernels: ("test_beams", "seen_through"),
+    ellipse._cluster_kernels: ("group_moving",),
+    point_to_line._kernels: (
+        "match_point_to_line",
+        "residual_scatter",
+        "judge_match",
+        "innovate",
+        "fuse",
+        "estimate_normals",
+        "insert_points",
+    ),
+    grid: ("update_beams",),
+}
+"""Kernels of the step, by the module that looks them up."""
+
+REPEATED = ("match_point_to_line",)
+"""Called twice to see them in warm caches; they change nothing but their results."""
 
 N_START = 60
 """By this scan of a start every kernel of the step has been needed."""
@@ -100,6 +123,66 @@ def measure_steps(source: str, n_scans: int, methods: list[str]) -> dict[str, An
         "paired": {method: float(np.median(step_ms[method] / step_ms[REFERENCE])) for method in methods},
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
+
+
+def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
+    """Time of `graph`'s kernels within its steps, medians over the scans, and how much work they do [us].
+
+    "again": the same call once more at once, when all that it touches is in the caches.
+    """
+    scans = list(islice(_scans(source), n_scans))
+    _warm_up("graph", scans)
+    in_step: dict[str, float] = {}
+    again: dict[str, float] = {}
+
+    def timed(name: str, kernel: Callable[..., Any], *, repeat: bool) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            result = kernel(*arguments)
+            in_step[name] = in_step.get(name, 0.0) + 1e6 * (time.perf_counter() - start)
+            if repeat:
+                start = time.perf_counter()
+                kernel(*arguments)
+                again[name] = again.get(name, 0.0) + 1e6 * (time.perf_counter() - start)
+            return result
+
+        return call
+
+    rows: list[dict[str, float]] = []
+    with ExitStack() as patches:
+        for module, names in KERNELS.items():
+            for name in names:
+                kernel = getattr(module, name)
+                wrapped = timed(name, kernel, repeat=name in REPEATED)
+                patches.enter_context(patch.object(module, name, wrapped))
+        pipeline = make_pipeline(get_method("graph").config)
+        for scan in scans:
+            in_step.clear()
+            again.clear()
+            step = pipeline.step(replace(scan))
+            n_points = int(np.count_nonzero(step.is_valid & ~step.is_moving))
+            touched = int(np.count_nonzero(pipeline.grid.stamp == scan.index))  # type: ignore[union-attr]
+            rows.append(
+                {
+                    "step": 1e3 * step.stage_ms["step"] - sum(again.values()),
+                    **in_step,
+                    **{f"{name} again": us for name, us in again.items()},
+                    "evaluations": 0.0 if step.match is None else n_points * (step.match.n_iterations + 1.0),
+                    "cells": float(touched),
+                }
+            )
+        pipeline.close()
+    counted = rows[min(N_WARM, len(rows) // 2) :]
+    names = dict.fromkeys(name for row in counted for name in row)
+    us = {name: float(np.median([row.get(name, 0.0) for row in counted])) for name in names}
+    source_mb = np.ones(1 << 23)
+    target_mb = np.empty_like(source_mb)
+    copies = []
+    for _ in range(5):
+        start = time.perf_counter()
+        np.copyto(target_mb, source_mb)
+        copies.append(time.perf_counter() - start)
+    return {"n_scans": len(scans), "us": us, "copy_gb_s": 2 * source_mb.nbytes / min(copies) / 1e9}
 
 
 def measure_growth(n_scans: int) -> dict[str, Any]:
@@ -279,6 +362,37 @@ def _step_table(heading: str, measured: dict[str, Any]) -> Table:
     return Table(heading=heading, columns=columns, rows=rows)
 
 
+def _kernel_table(heading: str, measured: dict[str, Any]) -> Table:
+    us = measured["us"]
+    kernels = [name for names in KERNELS.values() for name in names if name in us]
+    in_kernels = sum(us[name] for name in kernels)
+    evaluations, cells = max(us["evaluations"], 1.0), max(us["cells"], 1.0)
+    # each cell is read and written, its log odds and its stamp of 4 bytes each
+    limit_us = 16e-3 * cells / measured["copy_gb_s"]
+    rows = [[name, f"{us[name]:.1f}", f"{100 * us[name] / us['step']:.0f}%", "", ""] for name in kernels]
+    for row in rows:
+        if row[0] == "match_point_to_line":
+            warm = us["match_point_to_line again"]
+            row[3] = f"{evaluations:,.0f} point-to-line distances"
+            row[4] = (
+                f"{1e3 * us[row[0]] / evaluations:.1f} ns each; {1e3 * warm / evaluations:.1f} in warm caches"
+            )
+        elif row[0] == "update_beams":
+            row[3] = f"{cells:,.0f} cells"
+            row[4] = f"{1e3 * us[row[0]] / cells:.1f} ns each; {limit_us:.1f} us at the memory's speed"
+    rows.append(
+        [
+            "all else: Python, numpy, gtsam",
+            f"{us['step'] - in_kernels:.1f}",
+            f"{100 * (1 - in_kernels / us['step']):.0f}%",
+            "",
+            "",
+        ]
+    )
+    columns = ("kernel", "in a step, median [us]", "share", "work", "distance to the limit")
+    return Table(heading=heading, columns=columns, rows=rows)
+
+
 def _growth_table(measured: dict[str, Any]) -> Table:
     rows = [
         [
@@ -338,6 +452,10 @@ def experiment(options: SpeedOptions) -> None:
             peaks.append(f"{title}: {measured['peak_mb']:.0f} MB")
             ratio = measured["ms"]["graph"]["step"][0] / measured["ms"][REFERENCE]["step"][0]
             say(f"speed: {title}: graph takes {ratio:.2f} times as long as {REFERENCE}")
+    for heading, (source, n_scans) in _sources(options).items():
+        measured = in_child(measure_kernels, source, min(n_scans, 3000), environment=ONE_THREAD)
+        title = f"Where the time goes: {heading}, {measured['n_scans']:,} scans"
+        tables.append(_kernel_table(title, measured))
     n_long = options.scans or (2000 if options.quick else 100_000)
     tables.append(_growth_table(in_child(measure_growth, n_long, environment=ONE_THREAD)))
     tables.append(_start_table(options.quick))
@@ -350,6 +468,8 @@ def experiment(options: SpeedOptions) -> None:
     growth = (
         "The long run drives one lap of the simulated office to and fro, its ranges taken again, its odometry drawn"
         f" anew over the whole way{'' if options.scans is None else f'; its length from --scans {options.scans}'}."
+        " Where the time goes: kernels within a step, medians, so that those of a keyframe (normals, insertion) show 0;"
+        " the memory's speed is that of copying 64 MB."
         " Peak memory of all methods together in one process: " + "; ".join(peaks) + "."
     )
     write_tables("speed", "Speed", [intro, "", growth], tables, options)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -20,18 +20,26 @@ from slammot_graph.colors import (
     COLOR_ESTIMATE,
     COLOR_MOVING,
     COLOR_STATIC,
-    TRACK_COLORS,
+    PICTURE_TRACK_COLORS,
+    picture_track_color,
     to_hex,
-    track_color,
 )
 from slammot_graph.drawing import (
-    LONG_SIDE_IN,
+    MAX_MAP_IN,
+    TEXT_PT,
+    TITLE_PT,
     UNKNOWN,
+    Entry,
     add_map_axes,
     draw_legend,
     draw_map,
     draw_scale_bar,
+    draw_title,
+    find_limits,
     lay_out,
+    line_artist,
+    line_entry,
+    state_entries,
 )
 from slammot_graph.errors import InputError
 from slammot_graph.logs import LaserLog
@@ -47,14 +55,20 @@ if TYPE_CHECKING:
 Kind = Literal["gif", "mp4"]
 Picture = npt.NDArray[np.uint8]
 
-DPI = 80
+DPI = 125
 FAINT_COLORS = np.array([[236, 238, 240], [255, 255, 255], [165, 168, 172]], dtype=np.uint8)
 """Of the map's cells: unknown, free, occupied."""
 TRAIL_SCANS = 30
 """So many scans long is the way behind a moving object."""
 ROBOT_LENGTH = 0.035
 """Length of the robot's arrow as a share of the map's long side."""
-N_GIF_COLORS = 256
+RING_PT = 8.0
+"""Diameter of the ring around a moving object."""
+POINT: dict[str, Any] = {"linestyle": "", "marker": ".", "markeredgewidth": 0.0}
+PATH: dict[str, Any] = {"color": to_hex(COLOR_ESTIMATE), "linewidth": 1.0}
+N_GIF_COLORS = 255
+UNCHANGED = 255
+"""Index of the colour of a GIF that lets the frame before shine through."""
 N_BLENDS = 6
 """Steps from each colour that moves to the paper's; the smooth edges of points and lines need them."""
 
@@ -94,7 +108,7 @@ def write_animation(
     OSError
         The file cannot be written.
     """
-    stage = _Stage(folder, n_frames=len(rows))
+    stage = _Stage(folder, log_name=log.path.name)
 
     def frames() -> Iterator[Picture]:
         for n, (row, scan) in enumerate(_chosen(scans_of(folder, log), rows), start=1):
@@ -118,7 +132,7 @@ def _chosen(scans: Iterator[Scan], rows: range) -> Iterator[tuple[int, Scan]]:
 class _Stage:
     """The picture: what stands still as pixels, and the artists that move."""
 
-    def __init__(self, folder: RunFolder, *, n_frames: int) -> None:
+    def __init__(self, folder: RunFolder, *, log_name: str) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import LineCollection
         from matplotlib.figure import Figure
@@ -126,38 +140,36 @@ class _Stage:
 
         self._folder = folder
         self._tracks = _TracksOfScans(folder)
-        page = lay_out(folder.T_map_base, folder.grid, n_entries=4)
+        page = lay_out(find_limits(folder.T_map_base, folder.grid), self._legend())
         figure = Figure(figsize=(page.width_in, page.height_in), dpi=DPI, facecolor="white")
         self._canvas = FigureCanvasAgg(figure)
         self._axes = axes = add_map_axes(figure, page, FAINT_COLORS[UNKNOWN])
-        draw_map(axes, folder.grid, max_cells=LONG_SIDE_IN * DPI, colors=FAINT_COLORS)
+        draw_map(axes, folder.grid, max_cells=max(MAX_MAP_IN) * DPI, colors=FAINT_COLORS)
         draw_scale_bar(axes, page)
-        x, y = page.title_place(0.33)
-        figure.text(x, y, folder.method, fontsize=13, fontweight="bold", parse_math=False)
+        title = f"{folder.method} on {log_name}"
+        draw_title(figure, page, title, above_in=0.24, size_pt=TITLE_PT, weight="bold")
 
         # in the order in which they are drawn
-        blue, red, path_color = to_hex(COLOR_STATIC), to_hex(COLOR_MOVING), to_hex(COLOR_ESTIMATE)
-        (self._static,) = axes.plot([], [], ".", color=blue, markersize=3.5, label="static points")
-        self._trails = LineCollection([], linewidths=1.6)
+        (self._static,) = axes.plot([], [], **POINT, color=to_hex(COLOR_STATIC), markersize=4.0)
+        self._trails = LineCollection([], linewidths=1.0)
         axes.add_collection(self._trails, autolim=False)
-        (self._moving,) = axes.plot([], [], ".", color=red, markersize=5.5, label="moving points")
-        (self._path,) = axes.plot([], [], color=path_color, linewidth=1.6)
-        self._robot = Polygon(np.zeros((4, 2)), facecolor=path_color, edgecolor="white")
+        (self._moving,) = axes.plot([], [], **POINT, color=to_hex(COLOR_MOVING), markersize=5.5)
+        (self._path,) = axes.plot([], [], **PATH)
+        self._robot = Polygon(np.zeros((4, 2)), facecolor=PATH["color"], edgecolor="white", linewidth=0.6)
         axes.add_patch(self._robot)
-        self._places = axes.scatter([], [], s=160.0, facecolors="none", linewidths=1.6)
+        self._places = axes.scatter([], [], s=RING_PT**2, facecolors="none", linewidths=1.0)
         self._ids: list[Annotation] = []
-        clock_x, clock_y = page.title_place(0.1)
-        self._clock = figure.text(clock_x, clock_y, "", fontsize=11, color="0.25")
+        self._clock = draw_title(figure, page, "", above_in=0.08, size_pt=TEXT_PT)
+        self._clock.set_color("0.25")
         self._moving_artists: list[Artist] = [
             *(self._static, self._trails, self._moving, self._path, self._robot, self._places, self._clock)
         ]
         for artist in self._moving_artists:
             artist.set_animated(True)
-        draw_legend(figure, page, self._handles())
-        self._robot_m = ROBOT_LENGTH * max(page.x_m[1] - page.x_m[0], page.y_m[1] - page.y_m[0])
+        draw_legend(figure, page)
+        self._robot_m = ROBOT_LENGTH * max(page.limits.size_m)
         self._canvas.draw()  # type: ignore[no-untyped-call]
         self._background = self._canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
-        self._n_frames = n_frames
 
     @property
     def size(self) -> tuple[int, int]:
@@ -188,13 +200,13 @@ class _Stage:
         """Show the objects of a scan: the way behind each, and its number beside it."""
         trails = self._tracks.trails(row)
         self._trails.set_segments(list(trails.values()))
-        colors = [to_hex(track_color(track_id)) for track_id in trails]
+        colors = [to_hex(picture_track_color(track_id)) for track_id in trails]
         self._trails.set_color(colors)
         self._places.set_offsets(np.array([trail[-1] for trail in trails.values()]).reshape(-1, 2))
         self._places.set_edgecolor(colors)
         while len(self._ids) < len(trails):
             text = self._axes.annotate(
-                "", (0.0, 0.0), xytext=(8, 8), textcoords="offset points", fontsize=12, fontweight="bold"
+                "", (0.0, 0.0), xytext=(5, 5), textcoords="offset points", fontsize=TEXT_PT, fontweight="bold"
             )
             text.set(animated=True, clip_on=True)
             self._ids.append(text)
@@ -204,26 +216,22 @@ class _Stage:
             text.set(text=str(track_id), color=color, visible=True)
             text.xy = trail[-1]
 
-    def _handles(self) -> "list[Artist]":
-        from matplotlib.lines import Line2D
-
-        tracks = Line2D(
-            *([], []),
-            color=to_hex(TRACK_COLORS[0]),
-            linewidth=1.6,
-            marker="o",
-            markersize=10,
-            markerfacecolor="none",
-            label="moving objects",
-        )
-        points = [
-            Line2D(
-                [], [], marker=".", linestyle="", markersize=9, color=line.get_color(), label=line.get_label()
+    def _legend(self) -> list[list[Entry]]:
+        """Say what everything in the picture is: the scan, the robot, the objects, the map."""
+        static = line_entry("points that stand still", **POINT, color=to_hex(COLOR_STATIC), markersize=5.0)
+        moving = line_entry("points that move", **POINT, color=to_hex(COLOR_MOVING), markersize=6.0)
+        robot = line_entry("robot and its way", **PATH, marker=">", markersize=6.0, markeredgecolor="white")
+        rings = [
+            line_artist(
+                color=to_hex(color), marker="o", markersize=5.0, markerfacecolor="none", linewidth=1.0
             )
-            for line in (self._static, self._moving)
+            for color in PICTURE_TRACK_COLORS[:2]
         ]
-        path = Line2D([], [], color=self._path.get_color(), linewidth=1.6, label="trajectory")
-        return [*points, tracks, path]
+        track = Entry(tuple(rings), f"tracked objects, and their ways in the last {TRAIL_SCANS} scans")
+        has_map = bool(np.isfinite(self._folder.grid.p_occupied).any())
+        free, *others = state_entries(FAINT_COLORS)
+        states = [free._replace(label=f"finished map: {free.label}"), *others] if has_map else []
+        return [[static, moving, robot], [track] if len(self._folder.tracks) else [], states]
 
     def colors(self) -> Picture:
         """Give (256, 3) colours that do for all frames: those of what stands still, and of what moves."""
@@ -266,22 +274,30 @@ class _TracksOfScans:
     def colors(self) -> list[int]:
         """Give the colours of all objects, each once."""
         ids = np.unique(self._tracks[:, 1].astype(np.int64)).tolist()
-        return list(dict.fromkeys(track_color(track_id) for track_id in ids))
+        return list(dict.fromkeys(picture_track_color(track_id) for track_id in ids))
 
 
 # ----------------------------------------------------------------------------------------------------- writers
 
 
 def _write_gif(path: Path, frames: Iterator[Picture], fps: float, colors: Picture) -> None:
-    """Write a GIF that begins anew at its end, all frames in the same colours."""
+    """Write a GIF that begins anew at its end, all frames in the same colours; each holds what has changed."""
     from PIL import Image
 
     palette = Image.new("P", (1, 1))
-    palette.putpalette(colors.tobytes())
+    palette.putpalette(np.concatenate([colors, colors[:1]]).tobytes())
 
     def reduced() -> "Iterator[PillowImage]":
+        before: Picture | None = None
         for frame in frames:
-            yield Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+            picture = Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+            indices = np.asarray(picture)
+            indices = np.where(indices == UNCHANGED, 0, indices).astype(np.uint8)
+            changed = indices if before is None else np.where(indices == before, UNCHANGED, indices)
+            before = indices
+            shown = Image.fromarray(changed.astype(np.uint8))
+            shown.putpalette(palette.getpalette() or [])  # which makes its grey values indices
+            yield shown
 
     pictures = reduced()
     first = next(pictures)
@@ -293,6 +309,8 @@ def _write_gif(path: Path, frames: Iterator[Picture], fps: float, colors: Pictur
         duration=max(20, round(100.0 / fps) * 10),  # [ms]; a GIF counts in hundredths of a second
         loop=0,
         optimize=False,
+        disposal=1,
+        transparency=UNCHANGED,
     )
 
 

@@ -5,6 +5,8 @@ COLOR_ODOMETRY = 0xE69F00FF
 COLOR_TRUTH = 0x009E73FF
 COLOR_STATIC = 0x2F6FB5FF
 COLOR_MOVING = 0xE3342FFF
+COLOR_MOVED = 0xF29B94FF
+"""Of the moving points of scans gone by."""
 COLOR_CLOSURE = 0xCC33AAFF
 COLOR_MATCH = 0x56B4E9FF
 COLOR_BEFORE, COLOR_AFTER = 0x8C564BFF, 0x00A5B5FF
@@ -18,6 +20,19 @@ TRACK_COLORS = (
     0x5D4037FF,
     0x33691EFF,
 )
+PICTURE_TRACK_COLORS = (
+    0x00A65CFF,
+    0x5E2A84FF,
+    0x7A4E00FF,
+    0x62AEB8FF,
+    0x600030FF,
+    0x9C88E4FF,
+    0x6E7014FF,
+    0x1F4E44FF,
+    0xA8607CFF,
+)
+"""Of tracks in pictures, where they cross trajectory, odometry, closures and moving points: apart from all of these, in
+simulated red-green blindness too (CIEDE2000 of 11 or more; among each other 7)."""
 RUN_COLORS = (
     0x0072B2FF,
     0xD55E00FF,
@@ -34,6 +49,11 @@ RUN_COLORS = (
 def track_color(track_id: int) -> int:
     """Colour of a track, the same in all scans."""
     return TRACK_COLORS[track_id % len(TRACK_COLORS)]
+
+
+def picture_track_color(track_id: int) -> int:
+    """Colour of a track in pictures, the same in all of them."""
+    return PICTURE_TRACK_COLORS[track_id % len(PICTURE_TRACK_COLORS)]
 
 
 def to_hex(rgba: int) -> str:

@@ -61,6 +61,11 @@ class ComparedRun:
         """Root mean square of the distance from the first run's trajectory."""
         return math.sqrt(float(np.mean(self.distance_m**2)))
 
+    @property
+    def truth_rms_m(self) -> float:
+        """Root mean square of the distance to the truth, both started at the same place; NaN without truth."""
+        return math.nan if self.truth_error_m is None else math.sqrt(float(np.mean(self.truth_error_m**2)))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TruePath:

@@ -145,7 +145,7 @@ class PipelineConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Hints:
-    """What the scans before tell the test: where tracked objects should be, and what is empty now (k, 2), local frame."""
+    """What the scans before tell the test: places (k, 2) of tracked objects and of what is empty now, local frame."""
 
     expected: FloatArray
     emptied: FloatArray
@@ -263,6 +263,15 @@ class Pipeline:
             clusters=self.config.clusters,
             tracks=self.config.tracks,
         )
+
+    def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
+        """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""
+        found = [
+            self._judged[k].scan.points(T_map_base[k])[is_moving]
+            for k, is_moving in enumerate(labels)
+            if is_moving.any()
+        ]
+        return np.concatenate([_NOWHERE, *found])
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""

@@ -242,6 +242,8 @@ class RunResult:
     is_valid, is_moving, is_moving_online : (n, beams) bool arrays
         `is_moving` are the final labels; beams that a scan does not have are not valid.
     p_moving : (n, beams) float16 array
+    moving_points : (m, 2) array [m]
+        All points that move, by the final labels, map frame.
     tracks : (k, 10) array
         Columns stamp, id, x, y, vx, vy, var_x, cov_xy, var_y, scan index; map frame.
     grid : GridMap
@@ -279,6 +281,7 @@ class RunResult:
     is_moving: BoolArray
     is_moving_online: BoolArray
     p_moving: Any
+    moving_points: FloatArray
     tracks: FloatArray
     grid: GridMap
     node_scans: IntArray

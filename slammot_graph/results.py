@@ -20,7 +20,8 @@ import numpy.typing as npt
 
 from slammot_graph.errors import InputError
 from slammot_graph.evaluation import run_consistency
-from slammot_graph.evaluation.trajectories import read_trajectory
+from slammot_graph.evaluation.trajectories import path_length, read_trajectory
+from slammot_graph.logs import LaserLog, source_of
 from slammot_graph.result_types import GraphEdge, GridMap, RunResult
 from slammot_graph.types import BoolArray, FloatArray
 
@@ -38,7 +39,7 @@ RUN_FILES = (
     "overview.png",
     "summary.json",
 )
-"""All that a run folder may hold."""
+"""All that a run folder may hold; without a graph there is no ``graph.g2o``, unrecorded no ``run.rrd``."""
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 """Grey values of ``map.pgm``, as map_server's own saver writes them."""
 FREE_BELOW, OCCUPIED_ABOVE = 0.2, 0.8
@@ -119,16 +120,23 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
         raise InputError(f"{output}: cannot be written (Permission denied); name another --output")
 
 
-def write_run_folder(output: str | Path, result: RunResult, *, log: str | Path | None = None) -> None:
+def write_run_folder(
+    output: str | Path, result: RunResult, *, log: LaserLog | str | Path | None = None
+) -> None:
     """Write all files of a run but the recording.
+
+    A method without a pose graph leaves no ``graph.g2o``. ``covariances.npz`` holds `stamps` (n,) [s], `cov_map`
+    (n, 3, 3) of the poses of ``trajectory.tum``, and `node_scans` (m,): the vertex k of ``graph.g2o`` is the scan
+    ``node_scans[k]``, counted from 0, which is also its line in ``trajectory.tum``.
 
     Parameters
     ----------
     output : str or Path
         The run folder; made if it is not there, and files of an earlier run in it are replaced.
     result : RunResult
-    log : str or Path, optional
-        The log that was run; its absolute path goes into the summary.
+    log : LaserLog, str or Path, optional
+        The log that was run; its absolute path goes into the summary, and of a `LaserLog` also its `source` (see
+        `source_of`), its warnings and its number of scans.
 
     Raises
     ------
@@ -137,7 +145,7 @@ def write_run_folder(output: str | Path, result: RunResult, *, log: str | Path |
     """
     from slammot_graph.overview import draw_overview
 
-    output = Path(output)
+    output, log_path = Path(output), _path_of(log)
     with _os_errors(output, "name another --output"):
         output.mkdir(parents=True, exist_ok=True)
     _write_text(output / "trajectory.tum", _trajectory_lines(result.stamps, result.T_map_base))
@@ -153,12 +161,26 @@ def write_run_folder(output: str | Path, result: RunResult, *, log: str | Path |
     with _replacing(output / "map.pgm") as path:
         path.write_bytes(_pgm(result.grid))
     _write_text(output / "map.yaml", _map_lines(result.grid))
-    _write_text(output / "graph.g2o", _graph_lines(result.nodes, result.edges))
-    _write_arrays(output / "covariances.npz", stamps=result.stamps, cov_map=result.cov_map)
+    if len(result.nodes):
+        _write_text(output / "graph.g2o", _graph_lines(result.nodes, result.edges))
+    else:
+        with _os_errors(output / "graph.g2o", "remove it yourself, or name another --output"):
+            (output / "graph.g2o").unlink(missing_ok=True)
+    _write_arrays(
+        output / "covariances.npz",
+        stamps=result.stamps,
+        cov_map=result.cov_map,
+        node_scans=result.node_scans.astype(np.int64),
+    )
     summary = json.dumps(_strict(_summary(result, log)), indent=2, allow_nan=False, ensure_ascii=False)
     _write_text(output / "summary.json", [summary])
     with _replacing(output / "overview.png") as path:
-        draw_overview(result, path)
+        draw_overview(
+            result,
+            path,
+            log_name=log_path.name if log_path else None,
+            moving_points=result.moving_points,
+        )
 
 
 def read_points(path: str | Path) -> PointLabels:
@@ -250,23 +272,28 @@ def _numbers(values: list[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _summary(result: RunResult, log: str | Path | None) -> dict[str, Any]:
+def _summary(result: RunResult, log: LaserLog | str | Path | None) -> dict[str, Any]:
     step_ms = result.stage_ms.get("step", np.zeros(0))
     n_valid = int(np.count_nonzero(result.is_valid))
     n_moving = int(np.count_nonzero(result.is_moving & result.is_valid))
-    steps_m = np.hypot(*np.diff(result.T_map_base[:, :2], axis=0).T)
+    path, opened = _path_of(log), None if isinstance(log, str | Path) else log
     return {
         "method": result.method,
-        "log": None if log is None else Path(log).absolute(),
+        "log": None if path is None else path.absolute(),
+        "source": {} if opened is None else source_of(opened),
+        "warnings": [] if opened is None else opened.warnings,
         "config": result.config,
         "versions": _versions(),
         "is_complete": result.is_complete,
         "n_scans": len(result.stamps),
+        "n_scans_of_log": None if opened is None else opened.n_scans,
         "n_skipped": result.n_skipped,
         "n_failed_matches": result.n_failed_matches,
         "n_nodes": len(result.nodes),
         "n_loop_closures": sum(edge.kind == "closure" for edge in result.edges),
-        "path_length_m": float(steps_m.sum()),
+        "path_length_m": path_length(result.T_map_base),
+        "duration_s": float(np.ptp(result.stamps)) if len(result.stamps) else 0.0,
+        "n_tracks": len(np.unique(result.tracks[:, 1])),
         "moving_share": n_moving / n_valid if n_valid else None,
         "nis": _figures(result.nis, with_mean=True),
         "consistency": asdict(run_consistency(result)),
@@ -276,6 +303,12 @@ def _summary(result: RunResult, log: str | Path | None) -> dict[str, Any]:
         "n_events": len(result.events),
         "events": [{"scan": scan, "text": text} for scan, text in result.events[:MAX_EVENTS]],
     }
+
+
+def _path_of(log: LaserLog | str | Path | None) -> Path | None:
+    if log is None:
+        return None
+    return Path(log) if isinstance(log, str | Path) else log.path
 
 
 def _figures(values: FloatArray, *, with_mean: bool = False) -> dict[str, float | None]:

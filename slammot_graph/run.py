@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.baselines import KissIcpConfig, KissIcpPipeline
 from slammot_graph.config import to_plain
-from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.errors import ConfigError, InputError, SlammotError
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs import LaserLog
 from slammot_graph.methods import Config, get_method
@@ -35,12 +36,14 @@ class Run:
         In place of the method's own.
     max_range_m : float, optional
         In place of the configuration's `max_range_m`.
+    max_scans : int, optional
+        Take the log's first usable scans only, at least 1.
 
     Examples
     --------
     >>> run = Run(open_log("intel.clf.bz2"))                       # doctest: +SKIP
     >>> for step in run:                                           # doctest: +SKIP
-    ...     print(step.stamp, step.T_map_base, step.is_moving.sum())
+    ...     print(step.scan.stamp, step.T_map_base, step.is_moving.sum())
     >>> run.result().T_map_base                                    # doctest: +SKIP
     """
 
@@ -51,12 +54,16 @@ class Run:
         *,
         config: Config | None = None,
         max_range_m: float | None = None,
+        max_scans: int | None = None,
     ) -> None:
+        if max_scans is not None and max_scans < 1:
+            raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
         self.log = log
         self.method = method
         self.config = config if config is not None else get_method(method).config
         if max_range_m is not None:
             self.config = replace(self.config, max_range_m=max_range_m)
+        self.max_scans = max_scans
         self.pipeline = make_pipeline(self.config)
         self.is_complete = False
         self._kept = _Kept()
@@ -74,7 +81,7 @@ class Run:
         self.is_complete = False
         self._kept = _Kept()
         try:
-            for scan in self.log:
+            for scan in islice(self.log, self.max_scans):
                 step = self.pipeline.step(scan)
                 self._kept.keep(step)
                 yield step
@@ -96,8 +103,16 @@ class Run:
             self._final = self.pipeline.final()
             self._final_labels = self.pipeline.final_labels(self._final.T_map_base)
             self._grid = self.pipeline.render_map()
+            self._moving_points = self._find_moving(self._final.T_map_base)
         finally:
             self.pipeline.close()
+
+    def _find_moving(self, T_map_base: FloatArray) -> FloatArray:
+        """(m, 2) moving points of all scans by the final labels, or else by those of the time; map frame."""
+        if isinstance(self.pipeline, Pipeline) and self._final_labels is not None:
+            return self.pipeline.moving_points(T_map_base, self._final_labels)
+        found = [se2.transform(T_map_base[k], points) for k, points in self._kept.moving_base]
+        return np.concatenate([np.empty((0, 2)), *found])
 
     def complete(self) -> RunResult:
         """Run to the end and give the result."""
@@ -127,6 +142,7 @@ class Run:
             is_moving=is_moving,
             is_moving_online=online,
             p_moving=_padded(kept.p_moving, fill=np.nan),
+            moving_points=self._moving_points,
             tracks=np.array(kept.tracks).reshape(-1, 10),
             grid=self._grid,
             node_scans=final.node_scans,
@@ -156,6 +172,7 @@ class _Kept:
         self.is_valid: list[BoolArray] = []
         self.is_moving: list[BoolArray] = []
         self.p_moving: list[np.ndarray] = []
+        self.moving_base: list[tuple[int, np.ndarray]] = []
         self.tracks: list[list[float]] = []
         self.stage_ms: list[dict[str, float]] = []
         self.nis: list[float] = []
@@ -167,6 +184,9 @@ class _Kept:
         self.events: list[tuple[int, str]] = []
 
     def keep(self, step: StepResult) -> None:
+        if step.is_moving.any():
+            points = step.scan.points_base()[step.is_moving]
+            self.moving_base.append((len(self.stamps), points.astype(np.float32)))
         self.stamps.append(step.scan.stamp)
         self.T_odom_base.append(step.scan.T_odom_base)
         self.is_valid.append(step.is_valid)

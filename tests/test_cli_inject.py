@@ -5,7 +5,7 @@ import pytest
 
 from slammot_graph import cli
 from slammot_graph.evaluation import read_trajectory
-from slammot_graph.logs import open_log, write_npz_log
+from slammot_graph.logs import open_log, source_of, write_npz_log
 from slammot_graph.simulation import simulate
 from tests.test_cli import assert_one_line, run
 
@@ -117,6 +117,16 @@ def test_the_first_scans_may_be_taken(
     arguments = ("inject", log, "--people", 0, "--max-scans", 500, "--output", tmp_path / "a.npz")
     assert run(capsys, *arguments)[0] == 0
     assert len(arrays_of(tmp_path / "a.npz")["stamps"]) == N_SCANS
+
+
+def test_the_laser_may_be_placed_by_hand_and_the_poses_are_called_estimates(
+    capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "a.npz"
+    arguments = ("inject", log, "--people", 0, "--max-scans", 30, "--output", output)
+    assert run(capsys, *arguments, "--laser-pose", 0.1, -0.02, 0)[0] == 0
+    assert arrays_of(output)["laser_pose"].tolist() == [0.1, -0.02, 0.0]
+    assert source_of(open_log(output))["poses"] == "estimates"
 
 
 def test_nobody_leaves_the_log_as_it_is(

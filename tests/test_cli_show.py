@@ -96,11 +96,23 @@ def test_what_cannot_be_viewed_is_one_line(
     code, _, err = run(capsys, "view", recording)
     assert code == 2
     assert_one_line(err, "no rerun viewer", "pip install rerun-sdk")
-    viewer = script(tmp_path / "rerun", "exit 3")
+
+
+def test_a_viewer_that_fails_is_one_line(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    viewer = script(tmp_path / "rerun", "echo a word; echo an INFO >&2; exit 3")
     monkeypatch.setattr(rerun_parts, "viewer_executable", lambda: viewer)
-    code, _, err = run(capsys, "view", recording)
-    assert code == 2
-    assert_one_line(err, "other.rrd", "code 3", "display")
+    recording = tmp_path / "a run" / "run.rrd"
+    recording.parent.mkdir()
+    recording.write_bytes(b"RRF2")
+    code, out, err = run(capfd, "view", recording.parent)
+    assert (code, out) == (2, "")
+    assert_one_line(err, f"{recording}: ", "code 3", "copy run.rrd to a machine with a display")
+    assert err.endswith(f"slammot-graph animate '{recording.parent}' --output run.gif\n")
+    code, out, err = run(capfd, "view", recording)
+    assert (code, out) == (2, "")
+    assert err.endswith("copy run.rrd to a machine with a display\n")
 
 
 # -------------------------------------------------------------------------------------------------- animate
@@ -142,6 +154,17 @@ def test_some_scans_of_a_log_that_has_moved(
     code, _, err = run(capsys, *words)
     assert code == 0
     assert "run.gif: 3 frames" in err.splitlines()[-1]
+
+
+def test_a_laser_pose_that_is_damaged_is_one_line(
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    path = folder / "summary.json"
+    source = {"laser_pose": "0 0", "laser_pose_from": "given"}
+    path.write_text(json.dumps({**json.loads(path.read_text()), "source": source}))
+    code, out, err = run(capsys, "animate", folder, "--output", tmp_path / "run.gif")
+    assert (code, out) == (2, "")
+    assert_one_line(err, str(path), "three numbers", "run it again")
 
 
 def test_a_long_run_is_thinned() -> None:

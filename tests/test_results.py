@@ -104,6 +104,56 @@ def test_the_graph_is_g2o_in_full_precision(folder: Path) -> None:
     np.testing.assert_array_equal([float(v) for v in edges[0][3:]], [*first.T_from_to, *upper])
 
 
+def test_a_vertex_names_its_scan(folder: Path) -> None:
+    T_map_base = read_trajectory(folder / "trajectory.tum")[1]
+    vertices = [line.split() for line in (folder / "graph.g2o").read_text().splitlines() if "VERTEX" in line]
+    with np.load(folder / "covariances.npz") as file:
+        node_scans = file["node_scans"]
+    assert len(node_scans) == len(vertices) > 1
+    np.testing.assert_array_equal(node_scans, result().node_scans)
+    positions = [[float(v) for v in vertex[2:4]] for vertex in vertices]
+    np.testing.assert_allclose(T_map_base[node_scans, :2], positions, atol=1e-8)
+
+
+def test_without_a_graph_there_is_no_g2o(folder: Path) -> None:
+    """Nor does one of an earlier run stay."""
+    write_run_folder(folder, Run(drive(5), "odometry").complete())
+    assert {path.name for path in folder.iterdir()} == FILES - {"graph.g2o"}
+    with np.load(folder / "covariances.npz") as file:
+        assert file["node_scans"].shape == (0,)
+
+
+@pytest.mark.parametrize("log", ["some folder/some.bag", None])
+def test_the_picture_names_the_log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, log: str | None) -> None:
+    names = []
+
+    def draw(_result: RunResult, path: Path, *, log_name: str | None) -> None:
+        names.append(log_name)
+        path.touch()
+
+    monkeypatch.setattr("slammot_graph.overview.draw_overview", draw)
+    write_run_folder(tmp_path, result(), log=log)
+    assert names == [None if log is None else "some.bag"]
+
+
+def test_the_summary_tells_what_of_the_log_was_used(tmp_path: Path) -> None:
+    log = drive(5)
+    log.warnings.append("tf does not tell")
+    written = Run(log, "odometry").complete()
+    write_run_folder(tmp_path / "plain", written, log="some.bag")
+    write_run_folder(tmp_path / "quiet", written, log=log)
+    log.source = {"scan_topic": "/scan"}  # type: ignore[attr-defined]
+    write_run_folder(tmp_path / "log", written, log=log)
+    plain, quiet, told = (
+        json.loads((tmp_path / name / "summary.json").read_text()) for name in ("plain", "quiet", "log")
+    )
+    assert (plain["source"], plain["warnings"], plain["n_scans_of_log"]) == ({}, [], None)
+    assert plain["log"] == str(Path("some.bag").absolute())
+    assert (quiet["source"], quiet["log"]) == ({}, str(Path("list.log").absolute()))
+    assert (told["source"], told["warnings"]) == ({"scan_topic": "/scan"}, ["tf does not tell"])
+    assert told["n_scans_of_log"] == 5
+
+
 def test_covariances_are_read_back(folder: Path) -> None:
     with np.load(folder / "covariances.npz") as file:
         np.testing.assert_array_equal(file["cov_map"], result().cov_map)
@@ -125,6 +175,10 @@ def test_the_summary_counts(folder: Path) -> None:
     assert summary["scans_per_s"] > 0.0
     assert summary["peak_memory_mb"] > 10.0
     assert summary["is_complete"] is True
+    steps = np.diff(result().T_map_base[:, :2], axis=0)
+    assert summary["path_length_m"] == pytest.approx(np.hypot(*steps.T).sum())
+    assert summary["duration_s"] == pytest.approx(3.9)
+    assert summary["n_tracks"] == len(set(result().tracks[:, 1]))
 
 
 def test_a_run_is_not_replaced_by_accident(folder: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from slammot_graph import se2
 from slammot_graph.baselines import KissIcpPipeline
 from slammot_graph.config import to_plain
-from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.errors import ConfigError, InputError, SlammotError
 from slammot_graph.graph import PoseGraph
 from slammot_graph.logs.log import SkippedScan
 from slammot_graph.matching import PointToLineConfig
@@ -190,6 +190,16 @@ def test_max_range_takes_the_place_of_the_configured_one() -> None:
     assert result.config["max_range_m"] == 3.0
     ranges = np.array([scan.ranges for scan in drive(5)])
     np.testing.assert_array_equal(result.is_valid, ranges < 3.0)
+
+
+def test_the_first_scans_alone_are_a_whole_run() -> None:
+    log = drive(20)
+    result = Run(log, max_scans=7).complete()
+    assert result.is_complete
+    np.testing.assert_array_equal(result.stamps, [scan.stamp for scan in log.scans[:7]])
+    assert len(Run(log, max_scans=70).complete().stamps) == 20
+    with pytest.raises(ConfigError, match="max_scans must be at least 1, not 0"):
+        Run(log, max_scans=0)
 
 
 def test_threads_end_with_the_run() -> None:

@@ -9,8 +9,17 @@ from collections.abc import Sequence
 
 import tyro
 
+from slammot_graph import __version__
 from slammot_graph.cli.calibrating import calibrate_command
-from slammot_graph.cli.console import EXIT_INTERRUPTED, EXIT_USER_ERROR, complain, stderr
+from slammot_graph.cli.console import (
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    EXIT_USER_ERROR,
+    PROGRAM,
+    complain,
+    stderr,
+    stdout,
+)
 from slammot_graph.cli.judging import compare_command, evaluate_command
 from slammot_graph.cli.logs import inject_command, simulate_command
 from slammot_graph.cli.methods import config_command, methods_command
@@ -32,31 +41,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all went well, 2 after a user's mistake (with one line on stderr), 130 after Ctrl-C.
+        0 if all went well, 2 after a user's mistake (with one line on stderr) and without a command (with the
+        help), 130 after Ctrl-C.
     """
+    words = list(sys.argv[1:] if argv is None else argv)
     try:
-        code: int = tyro.extras.subcommand_cli_from_dict(
-            {
-                "run": run_command,
-                "view": view_command,
-                "animate": animate_command,
-                "compare": compare_command,
-                "evaluate": evaluate_command,
-                "methods": methods_command,
-                "config": config_command,
-                "calibrate": calibrate_command,
-                "simulate": simulate_command,
-                "inject": inject_command,
-                "demo": demo_command,
-            },
-            prog="slammot-graph",
-            description="2D laser SLAM among moving people, on a factor graph.",
-            args=sys.argv[1:] if argv is None else argv,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
-        return code
+        return _obey(words)
     except SystemExit as stop:  # tyro has shown the help or what is wrong with the arguments
-        return stop.code if isinstance(stop.code, int) else EXIT_USER_ERROR
+        return stop.code if words and isinstance(stop.code, int) else EXIT_USER_ERROR
     except SlammotError as error:
         return complain(str(error))
     except BrokenPipeError:  # the reader of our output has gone
@@ -68,3 +60,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         stderr().print("interrupted")
         return EXIT_INTERRUPTED
+
+
+def _obey(words: list[str]) -> int:
+    """Run the command that the arguments name; without any, show the help."""
+    if words == ["--version"]:
+        stdout().print(f"{PROGRAM} {__version__}")
+        return EXIT_OK
+    code: int = tyro.extras.subcommand_cli_from_dict(
+        {
+            "run": run_command,
+            "view": view_command,
+            "animate": animate_command,
+            "compare": compare_command,
+            "evaluate": evaluate_command,
+            "methods": methods_command,
+            "config": config_command,
+            "calibrate": calibrate_command,
+            "simulate": simulate_command,
+            "inject": inject_command,
+            "demo": demo_command,
+        },
+        prog=PROGRAM,
+        description="2D laser SLAM among moving people, on a factor graph. --version tells which one this is.",
+        args=words or ["--help"],
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    return code

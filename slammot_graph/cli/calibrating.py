@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.table import Table
 
-from slammot_graph.cli.console import EXIT_OK, figure_table, number, scan_progress, stderr, stdout, warn
-from slammot_graph.cli.files import prepare_file, whole_file
+from slammot_graph.cli.console import (
+    EXIT_OK,
+    check_max_scans,
+    figure_table,
+    number,
+    scan_progress,
+    stderr,
+    stdout,
+    warn,
+)
+from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
 from slammot_graph.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,6 +37,7 @@ def calibrate_command(
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
     scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    laser_pose: LaserPose = None,
 ) -> int:
     """Estimate the odometry's noise from a log, for `run --config`.
 
@@ -45,15 +55,16 @@ def calibrate_command(
         Which laser of a bag.
     odom_topic
         Which odometry of a bag.
+    laser_pose
+        As for `slammot-graph run`.
     """
     from slammot_graph.calibration import calibrate
     from slammot_graph.config import to_toml
     from slammot_graph.logs import open_log
 
-    if max_scans is not None and max_scans < 1:
-        raise InputError(f"--max-scans must be at least 1, not {max_scans}")
+    check_max_scans(max_scans)
     config, default = _settings(method)
-    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic)
+    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
     if output is not None:
         if output.exists() and output.samefile(log):
             raise InputError(f"{output}: is the log itself; name another --output")

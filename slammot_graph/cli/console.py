@@ -2,9 +2,13 @@
 
 import contextlib
 import math
+import os
+import shlex
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sized
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
@@ -12,11 +16,14 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from slammot_graph.errors import InputError
+
 if TYPE_CHECKING:
     from slammot_graph.evaluation import ErrorStats
     from slammot_graph.logs import LaserLog
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_INTERRUPTED = 0, 2, 130
+PROGRAM = "slammot-graph"
 N_REASONS = 3
 """So many skipped scans and warnings are shown; the rest is counted."""
 
@@ -40,8 +47,41 @@ def _console(file: TextIO) -> Console:
 
 def complain(text: str) -> int:
     """Say in one line what a user should mend, and give the exit code for it."""
-    stderr().print(f"slammot-graph: {' '.join(text.split())}", soft_wrap=True)
+    stderr().print(f"{PROGRAM}: {' '.join(text.split())}", soft_wrap=True)
     return EXIT_USER_ERROR
+
+
+def check_max_scans(max_scans: int | None) -> None:
+    """Refuse a number of scans that is no number of scans."""
+    if max_scans is not None and max_scans < 1:
+        raise InputError(f"--max-scans must be at least 1, not {max_scans}")
+
+
+def command(*words: object) -> str:
+    """Write a command of this program as a person here can give it.
+
+    Where ``slammot-graph`` is not on the path, it is named as it was started, relative to the current folder if
+    it lies below it.
+    """
+    return shlex.join([*_program(), *map(str, words)])
+
+
+def _program() -> list[str]:
+    started = Path(sys.argv[0])
+    if shutil.which(PROGRAM):
+        return [PROGRAM]
+    if started.name == "__main__.py" and started.parent.name == "slammot_graph":
+        return [_from_here(Path(sys.executable)), "-m", "slammot_graph"]
+    return [_from_here(started)] if started.stem == PROGRAM else [PROGRAM]
+
+
+def _from_here(path: Path) -> str:
+    """A program's path, relative to the current folder if it lies below it."""
+    path, here = path.absolute(), Path.cwd()
+    if not path.is_relative_to(here):
+        return str(path)
+    relative = path.relative_to(here)
+    return str(relative) if len(relative.parts) > 1 else os.path.join(".", relative)  # noqa: PTH118 - keeps "./"
 
 
 def warn(log: "LaserLog") -> None:

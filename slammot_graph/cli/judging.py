@@ -6,15 +6,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from rich.table import Table
 
-from slammot_graph.cli.console import EXIT_OK, figure_table, mean_and_std, number, print_table, stderr, stdout
-from slammot_graph.cli.files import prepare_file, whole_file
+from slammot_graph.cli.console import (
+    EXIT_OK,
+    command,
+    figure_table,
+    mean_and_std,
+    number,
+    print_table,
+    stderr,
+    stdout,
+)
+from slammot_graph.cli.files import open_log_of_run, prepare_file, whole_file
 from slammot_graph.cli.running import RerunMode
 from slammot_graph.errors import InputError
 
 if TYPE_CHECKING:
     from slammot_graph.comparison import ComparedRun, TruePath
     from slammot_graph.evaluation import RelationScores
+    from slammot_graph.run_folder import RunFolder
     from slammot_graph.types import FloatArray
 
 
@@ -22,10 +33,11 @@ def evaluate_command(
     directory: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     /,
     *,
-    relations: Annotated[Path, tyro.conf.arg(metavar="FILE")],
+    relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    truth: Annotated[Path | None, tyro.conf.arg(metavar="FILE.tum|npz")] = None,
     max_duration: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0,
 ) -> int:
-    """Compare a run's trajectory with true relations (Kuemmerle et al. 2009).
+    """Compare a run's trajectory with true relations (Kuemmerle et al. 2009), or with a true trajectory.
 
     Parameters
     ----------
@@ -33,13 +45,28 @@ def evaluate_command(
         The run folder.
     relations
         Lines "t1 t2 x y z roll pitch yaw".
+    truth
+        Lines "stamp x y z qx qy qz qw", or an .npz log with `poses`; poses belong together within 0.01 s.
     max_duration
         Show also the relations whose ends lie within this time of each other [s].
     """
-    from slammot_graph.evaluation import evaluate_relations, read_relations, read_trajectory
-
+    if relations is None and truth is None:
+        raise InputError("evaluate needs something true: name --relations FILE or --truth FILE.tum")
     if not max_duration > 0.0:
         raise InputError(f"--max-duration must be a positive time in seconds, not {max_duration:g}")
+    tables = []
+    if relations is not None:
+        tables.append(_relation_table(directory, relations, max_duration))
+    if truth is not None:
+        tables.append(_truth_table(directory, truth))
+    for table in tables:
+        stdout().print(table)
+    return EXIT_OK
+
+
+def _relation_table(directory: Path, relations: Path, max_duration: float) -> Table:
+    from slammot_graph.evaluation import evaluate_relations, read_relations, read_trajectory
+
     true = read_relations(relations)
     path = directory / "trajectory.tum"
     stamps, T_map_base = read_trajectory(path)
@@ -55,12 +82,46 @@ def evaluate_command(
     )
     table.add_row("all", *_relation_cells(everything))
     table.add_row(f"within {max_duration:g} s", *_relation_cells(short))
-    stdout().print(table)
-    return EXIT_OK
+    return table
+
+
+def _truth_table(directory: Path, truth: Path) -> Table:
+    """Absolute trajectory error (ATE) of the poses that have a true one, after alignment."""
+    from slammot_graph.comparison import read_truth
+    from slammot_graph.evaluation import absolute_error, read_trajectory
+    from slammot_graph.evaluation.trajectories import MAX_DIFFERENCE_S, associate
+    from slammot_graph.logs import open_log
+
+    if truth.suffix == ".npz":
+        true = read_truth(open_log(truth))
+        true_stamps, T_world_base = true.stamps, true.T_world_base
+    else:
+        true_stamps, T_world_base = read_trajectory(truth)
+    path = directory / "trajectory.tum"
+    stamps, T_map_base = read_trajectory(path)
+    i, j = associate(stamps, true_stamps)
+    if not len(i):
+        raise InputError(
+            f"{truth}: none of its {len(true_stamps)} poses lies within {MAX_DIFFERENCE_S:g} s of one in {path};"
+            " is it of the same log, and by the same clock?"
+        )
+    error = absolute_error(T_map_base[i], T_world_base[j])
+    table = figure_table(
+        f"ATE of {directory} against {truth.name}, aligned",
+        "error",
+        *("n", "unmatched", "rmse", "mean +- std", "median", "max"),
+        no_wrap=True,
+    )
+    for name, stats in (("position [m]", error.translation_m), ("heading [deg]", error.rotation_deg)):
+        figures = number(stats.rmse, 4), mean_and_std(stats), number(stats.median, 4), number(stats.max, 4)
+        table.add_row(name, str(stats.n), str(len(stamps) - len(i)), *figures)
+    return table
 
 
 def compare_command(
-    directories: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR DIR ...")],
+    directories: Annotated[
+        tuple[Path, ...], tyro.conf.arg(metavar="DIR DIR ...", help_behavior_hint="(two or more)")
+    ],
     /,
     *,
     output: Annotated[Path, tyro.conf.arg(metavar="FILE.rrd")] = Path("compare.rrd"),
@@ -81,7 +142,7 @@ def compare_command(
     relations
         True relations, as for `slammot-graph evaluate`.
     truth
-        The log with its true poses.
+        The log with its true poses; by default the runs' own log, if it was simulated.
     rerun
         Record a file, stream to a viewer, or neither.
     """
@@ -97,7 +158,7 @@ def compare_command(
 
     folders = [read_run_folder(directory) for directory in directories]
     true_relations = None if relations is None else read_relations(relations)
-    true_way = None if truth is None else read_truth(open_log(truth))
+    true_way = _truth_of(folders) if truth is None else read_truth(open_log(truth))
     runs = compare(folders, relations=true_relations, truth=true_way)
     for run in runs:
         if relations is not None and run.relations is not None and run.relations.translation_m.n == 0:
@@ -106,13 +167,37 @@ def compare_command(
     if rerun != "off":
         _record(runs, true_way, rows, output=output if rerun == "file" else None)
     heading, *cells = rows
-    table = figure_table(f"{len(runs)} runs, {len(folders[0].stamps)} scans in the first", *heading)
+    against = "" if true_way is None else f", against the true poses in {true_way.path.name}"
+    table = figure_table(f"{len(runs)} runs, {len(folders[0].stamps)} scans in the first{against}", *heading)
     for row in cells:
         table.add_row(*row)
     print_table(table)
     if rerun == "file":
-        stdout().print(f"recording: {output} (open it with: slammot-graph view {output})", soft_wrap=True)
+        stdout().print(f"recording: {output} (open it with: {command('view', output)})", soft_wrap=True)
     return EXIT_OK
+
+
+def _truth_of(folders: "list[RunFolder]") -> "TruePath | None":
+    """Look for true poses in the log of the runs."""
+    from slammot_graph.comparison import read_truth
+    from slammot_graph.logs import open_log, source_of
+    from slammot_graph.run_folder import have_same_times
+
+    paths = {folder.log for folder in folders if folder.log is not None}
+    path = paths.pop() if len(paths) == 1 else None
+    if path is None or path.suffix != ".npz":
+        return None
+    try:
+        log = open_log(path)
+        truth = read_truth(log)
+    except InputError:  # it is gone, or knows no poses
+        return None
+    is_exact = source_of(log).get("poses") != "estimates"  # of another run, as in an injected log
+    fits = (
+        len(folder.stamps) <= len(truth.stamps) and have_same_times(folder.stamps, truth.stamps)
+        for folder in folders
+    )
+    return truth if is_exact and all(fits) else None
 
 
 def _compared_rows(runs: "list[ComparedRun]") -> list[list[str]]:
@@ -123,13 +208,17 @@ def _compared_rows(runs: "list[ComparedRun]") -> list[list[str]]:
         "closures": lambda run: number(run.folder.figure("n_loop_closures"), 0),
         "failed matches": lambda run: number(run.folder.figure("n_failed_matches"), 0),
         "ms per scan": lambda run: number(run.folder.figure("stages_ms", "step", "median"), 2),
-        "from the first, rms [m]": lambda run: number(run.distance_rms_m, 4),
     }
+    has_truth = not math.isnan(runs[0].ate_rmse_m)
+    if has_truth:  # the first run need not be a good one
+        columns["from the truth, rms [m]"] = lambda run: number(run.truth_rms_m, 4)
+    else:
+        columns["from the first, rms [m]"] = lambda run: number(run.distance_rms_m, 4)
     scores = {run.name: run.relations for run in runs if run.relations is not None}
     if scores:
         columns["relation error [m]"] = lambda run: number(scores[run.name].translation_m.mean, 4)
         columns["relation error [deg]"] = lambda run: number(scores[run.name].rotation_deg.mean, 3)
-    if not math.isnan(runs[0].ate_rmse_m):
+    if has_truth:
         columns["ATE rmse [m]"] = lambda run: number(run.ate_rmse_m, 4)
     return [list(columns), *([cell(run) for cell in columns.values()] for run in runs)]
 
@@ -164,7 +253,6 @@ def _record(
 def _moving_points(runs: "list[ComparedRun]", truth: "TruePath | None") -> "dict[str, list[FloatArray]]":
     """Find the moving points of the runs whose log can still be read; a run folder holds only their labels."""
     from slammot_graph.comparison import moving_points
-    from slammot_graph.logs import open_log
 
     found = {}
     for run in runs:
@@ -172,7 +260,7 @@ def _moving_points(runs: "list[ComparedRun]", truth: "TruePath | None") -> "dict
         if path is None or run.folder.points is None:
             continue
         try:
-            found[run.name] = moving_points(run.folder, open_log(path))
+            found[run.name] = moving_points(run.folder, open_log_of_run(run.folder, path))
         except InputError as error:
             stderr().print(f"warning: no moving points of {run.name}: {error}", soft_wrap=True)
     return found

@@ -1,14 +1,13 @@
 """The commands that write logs: `simulate` and `inject`."""
 
 import itertools
-from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from slammot_graph.cli.console import EXIT_OK, scan_progress, stderr, warn
-from slammot_graph.cli.files import prepare_file, whole_file
+from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
+from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
 from slammot_graph.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def simulate_command(
     Parameters
     ----------
     scenario
-        Its name; a wrong one lists those that there are.
+        One of one-walker, two-walkers, lab, office, corridor, hall, crowd, building.
     output
         The log to write.
     seed
@@ -55,6 +54,7 @@ def inject_command(
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
     scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    laser_pose: LaserPose = None,
 ) -> int:
     """Copy a recorded log with people in it who cross the beams, and exact labels of those beams.
 
@@ -78,17 +78,20 @@ def inject_command(
         Which laser of a bag.
     odom_topic
         Which odometry of a bag.
+    laser_pose
+        As for `slammot-graph run`.
     """
-    for name, value, least in (("people", people, 0), ("seed", seed, 0), ("max-scans", max_scans, 1)):
-        if value is not None and value < least:
-            raise InputError(f"--{name} must be at least {least}, not {value}")
+    check_max_scans(max_scans)
+    for name, value in (("people", people), ("seed", seed)):
+        if value < 0:
+            raise InputError(f"--{name} must be at least 0, not {value}")
     if output.suffix != ".npz":
         raise InputError(f"{output}: the name of --output must end in .npz")
 
-    from slammot_graph.logs import open_log
+    from slammot_graph.logs import open_log, write_npz_log
     from slammot_graph.simulation import inject
 
-    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic)
+    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
     if output.exists() and output.samefile(log):
         raise InputError(f"{output}: is the recorded log itself; name another --output")
     prepare_file(output)
@@ -99,7 +102,7 @@ def inject_command(
     )
     made = inject(opened, T_map_base, n_people=people, seed=seed, max_scans=max_scans)
     with whole_file(output) as path:
-        made.write(path)
+        write_npz_log(path, **made.arrays(), poses_are_estimates=True)
     warn(opened)
     n_seen = len(set(made.object_id[made.is_moving].tolist()))
     share = made.is_moving.sum() / max(1, sum(int(scan.is_valid().sum()) for scan in made))
@@ -128,17 +131,10 @@ def _run_reference(log: "LaserLog", max_scans: int | None) -> "FloatArray":
     """Where `graph` says that the robot was."""
     from slammot_graph.run import Run
 
-    run = Run(log, "graph")
-    steps = iter(run)
-    try:
-        with scan_progress(log, run.method, max_scans) as show:
-            for n_scans, _ in enumerate(steps, start=1):
-                show(n_scans)
-                if n_scans == max_scans:
-                    break
-    finally:
-        if isinstance(steps, Generator):
-            steps.close()
+    run = Run(log, "graph", max_scans=max_scans)
+    with scan_progress(log, run.method, max_scans) as show:
+        for n_scans, _ in enumerate(run, start=1):
+            show(n_scans)
     return run.result().T_map_base
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from slammot_graph.cli.console import EXIT_OK, progress, stderr
-from slammot_graph.cli.files import prepare_file, whole_file
+from slammot_graph.cli.console import EXIT_OK, command, progress, stderr
+from slammot_graph.cli.files import open_log_of_run, prepare_file, whole_file
 from slammot_graph.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,9 +40,13 @@ def view_command(directory: Annotated[Path, tyro.conf.arg(metavar="DIR")], /) ->
     viewer = viewer_executable()
     if viewer is None:
         raise InputError("no rerun viewer in this environment; pip install rerun-sdk")
-    code = subprocess.run([viewer, path], check=False).returncode
+    nowhere = subprocess.DEVNULL  # the viewer talks a lot
+    code = subprocess.run([viewer, path], check=False, stdout=nowhere, stderr=nowhere).returncode
     if code != 0:
-        raise InputError(f"{path}: the rerun viewer ended with code {code}; it needs a display")
+        advice = f"copy {path.name} to a machine with a display"
+        if path != directory:
+            advice += f", or make a moving picture: {command('animate', directory, '--output', 'run.gif')}"
+        raise InputError(f"{path}: the rerun viewer ended with code {code}; {advice}")
     return EXIT_OK
 
 
@@ -78,9 +82,9 @@ def animate_command(
     last
         The last scan that is shown.
     scan_topic
-        As for `slammot-graph run`.
+        As for `slammot-graph run`; by default that of the run.
     odom_topic
-        As for `slammot-graph run`.
+        As for `slammot-graph run`; by default that of the run.
     """
     kind = _kind(output)
     if not 0.0 < fps < math.inf:
@@ -89,20 +93,20 @@ def animate_command(
         raise InputError(f"--fps must be at most {MAX_GIF_FPS:g} for a .gif, not {fps:g}")
 
     from slammot_graph.animation import find_ffmpeg, write_animation
-    from slammot_graph.logs import open_log
     from slammot_graph.run_folder import read_run_folder
 
     if kind == "mp4":
         find_ffmpeg()
     folder = read_run_folder(directory)
     rows = _rows(len(folder.stamps), first, last, every, max_frames=MAX_FRAMES[output.suffix])
-    opened = open_log(_log_of(folder, log), scan_topic=scan_topic, odom_topic=odom_topic)
+    path = _log_of(folder, log)
+    opened = open_log_of_run(folder, path, scan_topic=scan_topic, odom_topic=odom_topic)
     prepare_file(output)
     with (
-        whole_file(output) as path,
+        whole_file(output) as unfinished,
         progress(f"{output.name} of {directory}", len(rows), "frames") as tell,
     ):
-        write_animation(folder, opened, path, kind=kind, rows=rows, fps=fps, tell=tell)
+        write_animation(folder, opened, unfinished, kind=kind, rows=rows, fps=fps, tell=tell)
     size_mb = output.stat().st_size / 2**20
     stderr().print(f"{output}: {len(rows)} frames, {size_mb:.1f} MB", soft_wrap=True)
     return EXIT_OK

@@ -11,6 +11,8 @@ from slammot_graph.errors import InputError
 from slammot_graph.evaluation.stats import ErrorStats, summarize
 from slammot_graph.types import FloatArray, IntArray
 
+MAX_DIFFERENCE_S = 0.01
+"""Poses whose stamps differ by more than this do not belong together [s]; evo's default."""
 _TUM_COLUMNS = 8
 
 
@@ -144,6 +146,40 @@ def relative_error(
 def error_sizes(errors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lengths [m] and absolute angles [degrees] of error transforms (n, 3)."""
     return np.hypot(errors[:, 0], errors[:, 1]), np.degrees(np.abs(errors[:, 2]))
+
+
+def path_length(T_map_base: FloatArray) -> float:
+    """Length [m] of the way along poses (n, 3)."""
+    return float(np.hypot(*np.diff(T_map_base[:, :2], axis=0).T).sum())
+
+
+def associate(
+    stamps: FloatArray, true_stamps: FloatArray, *, max_difference_s: float = MAX_DIFFERENCE_S
+) -> tuple[IntArray, IntArray]:
+    """Find the true pose of each pose by their times, as evo does.
+
+    Parameters
+    ----------
+    stamps, true_stamps : (n,), (m,) arrays [s]
+        In any order: stamps of recorded logs may run backward.
+    max_difference_s : float
+        A pose without a true one as near as this is left out.
+
+    Returns
+    -------
+    i, j : (k,) int arrays
+        Pose ``i`` has the true pose ``j``; a true pose may belong to several.
+    """
+    if len(true_stamps) == 0:
+        nothing = np.zeros(0, dtype=np.int64)
+        return nothing, nothing
+    order = np.argsort(true_stamps, kind="stable")
+    ordered = true_stamps[order]
+    right = np.searchsorted(ordered, stamps).clip(0, len(ordered) - 1)
+    left = (right - 1).clip(0)
+    nearest = np.where(np.abs(ordered[right] - stamps) <= np.abs(ordered[left] - stamps), right, left)
+    i = np.flatnonzero(np.abs(ordered[nearest] - stamps) <= max_difference_s)
+    return i, order[nearest[i]]
 
 
 def read_trajectory(path: str | Path) -> tuple[FloatArray, FloatArray]:

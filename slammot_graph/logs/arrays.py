@@ -9,12 +9,14 @@ import numpy.typing as npt
 
 from slammot_graph.errors import ConfigError, InputError
 from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.scan import LaserModel, ScanTruth
 from slammot_graph.types import FloatArray
 
 SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
 REQUIRED = ("stamps", "ranges", *SCALARS, "odometry", "laser_pose")
 TRUTH = ("poses", "is_moving", "object_id")
+ESTIMATES = "poses_are_estimates"
 
 
 class ArrayLog(CheckedLog):
@@ -25,6 +27,8 @@ class ArrayLog(CheckedLog):
     Parameters
     ----------
     path : Path
+    laser_pose : (x, y, theta), optional
+        The laser in the base [m, m, rad], in place of the key `laser_pose`.
 
     Raises
     ------
@@ -32,10 +36,16 @@ class ArrayLog(CheckedLog):
         It is not an ``.npz`` file, a key is missing, or an array has the wrong shape or kind.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, laser_pose: tuple[float, float, float] | None = None) -> None:
         self._arrays = _checked(path, _load(path))
-        super().__init__(path, n_scans=len(self._arrays["stamps"]))
+        if laser_pose is not None:
+            self._arrays["laser_pose"] = np.array(laser_pose)
         self._laser = _laser(path, self._arrays)
+        told_by = "the key laser_pose" if laser_pose is None else "given"
+        source = laser_pose_source(self._laser.T_base_laser, told_by)
+        if self._arrays.get(ESTIMATES, False):
+            source["poses"] = "estimates"
+        super().__init__(path, n_scans=len(self._arrays["stamps"]), source=source)
 
     def _records(self) -> Records:
         arrays = self._arrays
@@ -66,6 +76,7 @@ def write_npz_log(
     poses: npt.ArrayLike | None = None,
     is_moving: npt.ArrayLike | None = None,
     object_id: npt.ArrayLike | None = None,
+    poses_are_estimates: bool = False,
 ) -> None:
     """Write a log that `open_log` reads back; an existing file is replaced.
 
@@ -89,6 +100,8 @@ def write_npz_log(
         The beam hit something that moves.
     object_id : (n, beams) int array, optional
         Which object the beam hit; -1 for none.
+    poses_are_estimates : bool
+        The `poses` are those of a run, as in an injected log: no truth to judge another run by.
 
     Raises
     ------
@@ -108,6 +121,7 @@ def write_npz_log(
         "poses": poses,
         "is_moving": is_moving,
         "object_id": object_id,
+        ESTIMATES: True if poses_are_estimates else None,
     }
     arrays = _checked(path, {key: np.asarray(value) for key, value in given.items() if value is not None})
     _laser(path, arrays)
@@ -123,7 +137,9 @@ def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
     """The known arrays of a file."""
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return {key: _member(path, file, key) for key in (*REQUIRED, *TRUTH) if key in file.files}
+            return {
+                key: _member(path, file, key) for key in (*REQUIRED, *TRUTH, ESTIMATES) if key in file.files
+            }
     except InputError:
         raise
     except Exception as err:  # the decoders of a damaged file may raise anything
@@ -160,7 +176,7 @@ def _checked(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, np
         "poses": (n_scans, 3),
         "is_moving": (n_scans, n_beams),
         "object_id": (n_scans, n_beams),
-        **dict.fromkeys(SCALARS, ()),
+        **dict.fromkeys((*SCALARS, ESTIMATES), ()),
     }
     for key, shape in shapes.items():
         if key in converted and converted[key].shape != shape:
@@ -177,7 +193,7 @@ def _converted(path: Path, key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any
         raise InputError(f"{path}: `{key}` is of type {array.dtype}; write it as an array of numbers")
     if key in SCALARS and array.size == 1:
         array = array.reshape(())
-    kinds: dict[str, type] = {"is_moving": np.bool_, "object_id": np.int64}
+    kinds: dict[str, type] = {"is_moving": np.bool_, "object_id": np.int64, ESTIMATES: np.bool_}
     return np.asarray(array, dtype=kinds.get(key, np.float64), order="C")
 
 

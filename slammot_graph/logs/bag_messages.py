@@ -64,9 +64,8 @@ class Bag:
         connections = [x for x in self._reader.connections if (x.topic, x.msgtype) in names]
         if not connections:
             return  # rosbags would take an empty choice for all topics
-        stop = None if first_seconds is None else self._reader.start_time + int(first_seconds * 1e9)
         number = 0
-        with closing(self._reader.messages(connections, stop=stop)) as stream:
+        with closing(self._reader.messages(connections, stop=self._stop(first_seconds))) as stream:
             while True:
                 try:
                     record = next(stream, None)
@@ -77,6 +76,15 @@ class Bag:
                 connection, bag_stamp_ns, raw = record
                 number += 1
                 yield BagMessage(number, bag_stamp_ns * 1e-9, self._decode(raw, connection.msgtype))
+
+    def _stop(self, first_seconds: float | None) -> int | None:
+        """Where the bag's first seconds end [ns]; None for all of it."""
+        if first_seconds is None:
+            return None
+        try:
+            return int(self._reader.start_time + int(first_seconds * 1e9))
+        except Exception as err:  # as above, of damaged metadata
+            raise _unreadable(self.path, err) from None
 
     def _decode(self, raw: bytes, msgtype: str) -> Any:
         try:
@@ -100,7 +108,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
     except Exception as err:  # the decoders of a damaged file may raise anything
         raise _unreadable(path, err) from None
     try:
-        yield Bag(path, reader)
+        try:
+            bag = Bag(path, reader)
+        except Exception as err:  # as above, of damaged metadata
+            raise _unreadable(path, err) from None
+        yield bag
     finally:
         reader.close()
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Generator, Sequence
 from contextlib import closing
+from dataclasses import dataclass, replace
 
 from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, transforms
 from slammot_graph.logs.bag_topics import TF_TYPES
@@ -12,8 +13,26 @@ MOUNTING_SEARCH_S = 60.0
 """How much of a bag's start is searched for transforms that are not static."""
 
 
-def find_mounting(bag: Bag, base_frames: Sequence[str], laser_frame: str) -> tuple[Mounting, list[str]]:
-    """The laser in the base by tf, with warnings; the identity, and a warning, where tf does not tell."""
+@dataclass(frozen=True, kw_only=True)
+class FoundMounting:
+    """A mounting, who told it ("given", "tf", "assumed") and what a person should know about it."""
+
+    mounting: Mounting
+    told_by: str
+    warnings: tuple[str, ...] = ()
+
+
+def find_mounting(
+    bag: Bag,
+    base_frames: Sequence[str],
+    laser_frame: str,
+    laser_pose: tuple[float, float, float] | None = None,
+) -> FoundMounting:
+    """The laser in the base by tf; the identity, and a warning, where tf does not tell.
+
+    A `laser_pose` (x, y, theta) [m, m, rad] takes the place of the one in tf, which then says only whether the
+    laser is tilted or upside down.
+    """
     tree = FrameTree()
     with closing(_mounting_messages(bag)) as messages:
         for message in messages:
@@ -24,11 +43,19 @@ def find_mounting(bag: Bag, base_frames: Sequence[str], laser_frame: str) -> tup
         T_base_laser = tree.between(base_frame, laser_frame)
         if T_base_laser is not None:
             mounting = mounting_from_transform(T_base_laser)
-            return mounting, _tilt_warnings(mounting, laser_frame)
-    return Mounting(T_base_laser=(0.0, 0.0, 0.0)), [
+            warnings = _tilt_warnings(mounting, laser_frame)
+            if laser_pose is None:
+                return FoundMounting(mounting=mounting, told_by="tf", warnings=warnings)
+            mounting = replace(mounting, T_base_laser=laser_pose)
+            return FoundMounting(mounting=mounting, told_by="given", warnings=warnings)
+    if laser_pose is not None:
+        return FoundMounting(mounting=Mounting(T_base_laser=laser_pose), told_by="given")
+    warning = (
         f"tf does not tell where frame {laser_frame or '(unnamed)'} sits on {base_frames[0]};"
-        " the laser is taken to sit on the base"
-    ]
+        " the laser is taken to sit on the base, unless --laser-pose says where"
+    )
+    nowhere = Mounting(T_base_laser=(0.0, 0.0, 0.0))
+    return FoundMounting(mounting=nowhere, told_by="assumed", warnings=(warning,))
 
 
 def _add_transforms(tree: FrameTree, message: BagMessage) -> None:
@@ -48,10 +75,10 @@ def _mounting_messages(bag: Bag) -> Generator[BagMessage, None, None]:
     yield from bag.messages([x for x in topics if x not in static], first_seconds=MOUNTING_SEARCH_S)
 
 
-def _tilt_warnings(mounting: Mounting, laser_frame: str) -> list[str]:
+def _tilt_warnings(mounting: Mounting, laser_frame: str) -> tuple[str, ...]:
     if mounting.is_level:
-        return []
-    return [
+        return ()
+    return (
         f"laser frame {laser_frame} is tilted by {math.degrees(mounting.tilt):.0f} degrees;"
-        " it is treated as if it lay in the robot's plane"
-    ]
+        " it is treated as if it lay in the robot's plane",
+    )

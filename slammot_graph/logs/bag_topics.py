@@ -69,6 +69,12 @@ def choose_odometry_topic(
     )
 
 
+def tf_topic(topics: Sequence[Topic]) -> str:
+    """Name of the topic on which tf broadcasts what moves; its static one only where there is no other."""
+    names = [x.name for x in _filled(topics, TF_TYPES)]
+    return min(names, key=lambda name: name.endswith("tf_static"))
+
+
 def _filled(topics: Sequence[Topic], msgtypes: Sequence[str]) -> list[Topic]:
     return [x for x in topics if x.msgtype in msgtypes and x.n_messages > 0]
 

@@ -11,6 +11,7 @@ from slammot_graph.logs.carmen_lines import LaserLine, split_laser_line
 from slammot_graph.logs.carmen_survey import survey_carmen
 from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
 from slammot_graph.logs.log import SkippedScan
+from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.text_lines import numbered_lines
 from slammot_graph.scan import LaserModel
 from slammot_graph.types import FloatArray
@@ -27,6 +28,8 @@ class CarmenLog(CheckedLog):
     Parameters
     ----------
     path : Path
+    laser_pose : (x, y, theta), optional
+        The laser in the base [m, m, rad], in place of what the lines say.
 
     Raises
     ------
@@ -34,9 +37,14 @@ class CarmenLog(CheckedLog):
         The file cannot be read, is damaged, or holds no laser line.
     """
 
-    def __init__(self, path: Path) -> None:
-        survey = survey_carmen(path)
-        super().__init__(path, n_scans=survey.n_scans, opening_warnings=survey.warnings)
+    def __init__(self, path: Path, *, laser_pose: tuple[float, float, float] | None = None) -> None:
+        survey = survey_carmen(path, laser_pose)
+        super().__init__(
+            path,
+            n_scans=survey.n_scans,
+            opening_warnings=survey.warnings,
+            source=laser_pose_source(survey.T_base_laser, survey.mounting_told_by),
+        )
         self._survey = survey
 
     def _records(self) -> Records:

@@ -38,6 +38,7 @@ class CarmenSurvey:
     largest_reading_m : float
         Largest reading of the well-formed lines; 0 if there is none.
     T_base_laser : (x, y, theta)
+    mounting_told_by : "given", "the laser's lines" or "assumed"
     warnings : tuple of str
     """
 
@@ -46,6 +47,7 @@ class CarmenSurvey:
     n_beams: int
     largest_reading_m: float
     T_base_laser: tuple[float, float, float]
+    mounting_told_by: str
     warnings: tuple[str, ...]
 
 
@@ -83,8 +85,8 @@ class _KindSurvey:
         self.poses: list[tuple[float, ...]] = []
 
 
-def survey_carmen(path: Path) -> CarmenSurvey:
-    """Read through a CARMEN log once, decoding no more than needed.
+def survey_carmen(path: Path, laser_pose: tuple[float, float, float] | None = None) -> CarmenSurvey:
+    """Read through a CARMEN log once, decoding no more than needed; a `laser_pose` replaces that of the lines.
 
     Raises
     ------
@@ -120,15 +122,18 @@ def survey_carmen(path: Path) -> CarmenSurvey:
     warnings = [f"{other} lines are not used, as the log has {kind} lines" for other in others]
     if kind == "RLASER":
         warnings.append("the log has the rear laser only (RLASER)")
-    T_base_laser, mounting_warning = _mounting(survey.poses)
-    if mounting_warning:
-        warnings.append(mounting_warning)
+    told_by = "given"
+    if laser_pose is None:
+        laser_pose, mounting_warning = _mounting(survey.poses)
+        told_by = "assumed" if mounting_warning else "the laser's lines"
+        warnings += [mounting_warning] if mounting_warning else []
     return CarmenSurvey(
         kind=kind,
         n_scans=survey.n_lines,
         n_beams=survey.n_beams,
         largest_reading_m=survey.readings.largest_m(),
-        T_base_laser=T_base_laser,
+        T_base_laser=laser_pose,
+        mounting_told_by=told_by,
         warnings=tuple(warnings),
     )
 
@@ -148,7 +153,8 @@ def _mounting(laser_and_base_poses: list[tuple[float, ...]]) -> tuple[tuple[floa
     spread = np.percentile(np.abs(T_first_laser - median), 90, axis=0)
     if spread.max() > MAX_MOUNTING_SPREAD:
         return (0.0, 0.0, 0.0), (
-            "laser poses wander about the odometry (corrected poses?); the laser is taken to sit on the base"
+            "laser poses wander about the odometry (corrected poses?);"
+            " the laser is taken to sit on the base, unless --laser-pose says where"
         )
     x, y, theta = (median + T_base_laser[0]).round(4).tolist()
     return (x + 0.0, y + 0.0, math.remainder(theta, math.tau) + 0.0), ""

@@ -2,10 +2,11 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -43,13 +44,23 @@ class CheckedLog(ABC):
         Scan records in the file.
     opening_warnings : sequence of str
         Warnings that hold for every iteration.
+    source : mapping of str
+        What of the file is used, as `source_of` gives it.
     """
 
-    def __init__(self, path: Path, *, n_scans: int, opening_warnings: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        n_scans: int,
+        opening_warnings: Sequence[str] = (),
+        source: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.path = path
         self.n_scans = n_scans
         self.skipped: list[SkippedScan] = []
         self.warnings: list[str] = list(opening_warnings)
+        self.source: dict[str, str] = dict(source)
         self._opening_warnings = tuple(opening_warnings)
 
     @abstractmethod

@@ -39,6 +39,8 @@ class LaserLog(Protocol):
     warnings : list of str
         What a person should know about the log: a mounting that had to be assumed, stamps that jump (noted
         when the iteration ends).
+
+    A log may also have a mapping `source`, see `source_of`.
     """
 
     path: Path
@@ -47,3 +49,16 @@ class LaserLog(Protocol):
     warnings: list[str]
 
     def __iter__(self) -> Iterator[Scan]: ...
+
+
+def source_of(log: LaserLog) -> dict[str, str]:
+    """Tell what of its file a log uses, as plain text.
+
+    Returns
+    -------
+    dict of str
+        ``scan_topic`` and ``odom_topic`` of a bag; ``laser_pose``, the laser in the base as "x y yaw" [m, m, rad],
+        and ``laser_pose_from``, which says where that comes from; ``poses`` where the log's true poses are only
+        estimates. Empty where the log does not tell.
+    """
+    return dict(getattr(log, "source", {}))

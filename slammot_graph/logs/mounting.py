@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slammot_graph.errors import ConfigError
 from slammot_graph.types import FloatArray
 
 MAX_TILT = math.radians(10.0)
@@ -33,6 +34,25 @@ class Mounting:
     def is_level(self) -> bool:
         """Whether the laser scans (about) the robot's plane."""
         return self.tilt <= MAX_TILT
+
+
+def laser_pose_source(T_base_laser: tuple[float, float, float], told_by: str) -> dict[str, str]:
+    """Say in words where a laser (x, y, theta) [m, m, rad] sits on the base, and who says so; for `source_of`."""
+    return {"laser_pose": " ".join(f"{value:.6g}" for value in T_base_laser), "laser_pose_from": told_by}
+
+
+def check_laser_pose(laser_pose: tuple[float, float, float] | None) -> None:
+    """Make sure that a laser pose that a person gave is one.
+
+    Raises
+    ------
+    ConfigError
+        A number in it is not finite.
+    """
+    if laser_pose is not None and not all(map(math.isfinite, laser_pose)):
+        raise ConfigError(
+            f"the laser pose must be three finite numbers, not {' '.join(map(str, laser_pose))}"
+        )
 
 
 class FrameTree:

@@ -6,6 +6,7 @@ from slammot_graph.errors import InputError
 from slammot_graph.logs.arrays import ArrayLog
 from slammot_graph.logs.carmen import CarmenLog
 from slammot_graph.logs.log import LaserLog
+from slammot_graph.logs.mounting import check_laser_pose
 from slammot_graph.logs.rosbag import RosbagLog
 from slammot_graph.logs.text_lines import read_start
 
@@ -17,7 +18,13 @@ BAG_MAGIC = {b"#ROSBAG": ".bag", b"\x89MCAP0": ".mcap", b"SQLite format 3\x00": 
 NPZ_MAGIC = b"PK\x03\x04"
 
 
-def open_log(path: str | Path, *, scan_topic: str | None = None, odom_topic: str | None = None) -> LaserLog:
+def open_log(
+    path: str | Path,
+    *,
+    scan_topic: str | None = None,
+    odom_topic: str | None = None,
+    laser_pose: tuple[float, float, float] | None = None,
+) -> LaserLog:
     """Open a log of any known format, told by its first bytes.
 
     Parameters
@@ -27,6 +34,8 @@ def open_log(path: str | Path, *, scan_topic: str | None = None, odom_topic: str
         or ``.npz``.
     scan_topic, odom_topic : str, optional
         Which topics of a bag to use where several would do.
+    laser_pose : (x, y, theta), optional
+        The laser in the robot's base [m, m, rad], counter-clockwise, in place of what the log says.
 
     Returns
     -------
@@ -36,20 +45,23 @@ def open_log(path: str | Path, *, scan_topic: str | None = None, odom_topic: str
     ------
     InputError
         No such file, an unknown or a damaged one, one without laser or odometry, a topic that is not there.
+    ConfigError
+        The laser pose is not finite.
     """
     path = Path(path)
+    check_laser_pose(laser_pose)
     if _holds_a_bag(path):
         bag_path = _bag_in_folder(path) if path.is_dir() else path
-        return RosbagLog(bag_path, scan_topic=scan_topic, odom_topic=odom_topic)
+        return RosbagLog(bag_path, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
     if scan_topic is not None or odom_topic is not None:
         raise InputError(f"{path}: not a bag, so it has no topics; leave out --scan-topic and --odom-topic")
     start = read_start(path)
     if start.startswith(NPZ_MAGIC):
-        return ArrayLog(path)
+        return ArrayLog(path, laser_pose=laser_pose)
     if path.suffix in (".npz", *BAG_MAGIC.values()) or b"\x00" in start:
         what = f"not a {path.suffix} file, whatever its name says" if path.suffix else "of no known format"
         raise InputError(f"{path}: {what}; known are {KNOWN_FORMATS}")
-    return CarmenLog(path)
+    return CarmenLog(path, laser_pose=laser_pose)
 
 
 def _holds_a_bag(path: Path) -> bool:

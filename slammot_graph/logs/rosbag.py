@@ -11,9 +11,10 @@ from slammot_graph.errors import ConfigError, InputError
 from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_stamp, open_bag
 from slammot_graph.logs.bag_mounting import find_mounting
 from slammot_graph.logs.bag_odometry import base_frames, odometry_track, read_odometry, share_a_clock
-from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic
+from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic, tf_topic
 from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
 from slammot_graph.logs.log import SkippedScan
+from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.odometry import MAX_HOLD_S
 from slammot_graph.scan import LaserModel
 
@@ -37,6 +38,8 @@ class RosbagLog(CheckedLog):
         A ``.bag``, a ROS 2 bag folder, a ``.db3`` or a ``.mcap`` file.
     scan_topic, odom_topic : str, optional
         Which topics to use where several would do; a tf topic may serve as odometry.
+    laser_pose : (x, y, theta), optional
+        The laser in the base [m, m, rad], in place of what tf says.
 
     Raises
     ------
@@ -44,7 +47,14 @@ class RosbagLog(CheckedLog):
         The bag cannot be read; it lacks scans or odometry; several topics would do; a topic is not there.
     """
 
-    def __init__(self, path: Path, *, scan_topic: str | None = None, odom_topic: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        scan_topic: str | None = None,
+        odom_topic: str | None = None,
+        laser_pose: tuple[float, float, float] | None = None,
+    ) -> None:
         with open_bag(path) as bag:
             self._scan_topic = choose_scan_topic(path, bag.topics, scan_topic)
             n_scans = self._scan_topic.n_messages
@@ -52,14 +62,26 @@ class RosbagLog(CheckedLog):
             scans = _first_scans(bag, self._scan_topic)
             samples = read_odometry(bag, odometry_topic)
             laser_frame = frame_name(scans[0].content.header.frame_id)
-            self._mounting, warnings = find_mounting(bag, base_frames(samples), laser_frame)
+            found = find_mounting(bag, base_frames(samples), laser_frame, laser_pose)
+            odom_topic = odometry_topic.name if odometry_topic else tf_topic(bag.topics)
+        self._mounting = found.mounting
+        warnings = list(found.warnings)
         self._uses_headers = share_a_clock(scans, samples)
         if not self._uses_headers:
             warnings.append(
                 "header stamps of scans and odometry do not share a clock; recording times are used instead"
             )
         self._odometry, odometry_warnings = odometry_track(path, samples, uses_headers=self._uses_headers)
-        super().__init__(path, n_scans=n_scans, opening_warnings=[*warnings, *odometry_warnings])
+        super().__init__(
+            path,
+            n_scans=n_scans,
+            opening_warnings=[*warnings, *odometry_warnings],
+            source={
+                "scan_topic": self._scan_topic.name,
+                "odom_topic": odom_topic,
+                **laser_pose_source(self._mounting.T_base_laser, found.told_by),
+            },
+        )
 
     def _records(self) -> Records:
         lasers: dict[tuple[float, ...], LaserModel] = {}

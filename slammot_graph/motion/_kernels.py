@@ -208,7 +208,7 @@ def test_beams(
 def _beam_towards(
     x: float, y: float, directions: FloatArray, angle_first: float, angle_increment: float, guess: int
 ) -> int:
-    """Number of the beam nearest to the direction (x, y), which may lie outside the scan; `guess` is near it, or not."""
+    """Number of the beam nearest to the direction (x, y), perhaps outside the scan; quick if `guess` is near it."""
     if 0 <= guess < directions.shape[0]:
         along = directions[guess, 0] * x + directions[guess, 1] * y
         aside = directions[guess, 0] * y - directions[guess, 1] * x

@@ -14,6 +14,7 @@ from slammot_graph.evaluation import (
     read_trajectory,
     relative_error,
 )
+from slammot_graph.evaluation.trajectories import associate, path_length
 from slammot_graph.types import FloatArray
 
 
@@ -147,3 +148,20 @@ def test_missing_and_binary_trajectories(tmp_path: Path) -> None:
     (tmp_path / "binary.tum").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(InputError, match="not a text file"):
         read_trajectory(tmp_path / "binary.tum")
+
+
+def test_poses_find_the_true_ones_nearest_in_time(rng: np.random.Generator) -> None:
+    """In any order: stamps of recorded logs run backward here and there."""
+    stamps, true_stamps = rng.uniform(0.0, 5.0, 200), rng.uniform(0.0, 5.0, 150)
+    distance = np.abs(stamps[:, None] - true_stamps)
+    i, j = associate(stamps, true_stamps, max_difference_s=0.02)
+    np.testing.assert_array_equal(i, np.flatnonzero(distance.min(axis=1) <= 0.02))
+    np.testing.assert_array_equal(j, distance.argmin(axis=1)[i])
+    assert 20 < len(i) < 180
+    for pair in (associate(stamps, np.zeros(0)), associate(np.zeros(0), true_stamps)):
+        assert [len(indices) for indices in pair] == [0, 0]
+
+
+def test_path_length() -> None:
+    assert path_length(np.array([[0.0, 0.0, 1.0], [3.0, 4.0, 2.0], [3.0, 3.0, 0.0]])) == 6.0
+    assert path_length(np.zeros((1, 3))) == path_length(np.zeros((0, 3))) == 0.0

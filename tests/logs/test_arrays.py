@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from slammot_graph.errors import InputError
-from slammot_graph.logs import open_log, write_npz_log
+from slammot_graph.errors import ConfigError, InputError
+from slammot_graph.logs import open_log, source_of, write_npz_log
 from tests.logs.compare import assert_same_scans
 
 
@@ -43,6 +43,25 @@ def test_round_trip_with_truth(tmp_path):
     assert scans[0].laser.T_base_laser == (0.2, -0.1, 0.3)
     assert (scans[0].laser.angle_min, scans[0].laser.n_beams, scans[0].laser.range_max) == (-1.0, 5, 10.0)
     assert_same_scans(list(log), scans)
+
+
+def test_what_was_used_is_told(tmp_path):
+    path = _written(tmp_path, example_arrays())
+    assert source_of(open_log(path)) == {
+        "laser_pose": "0.2 -0.1 0.3",
+        "laser_pose_from": "the key laser_pose",
+    }
+    log = open_log(path, laser_pose=(1.0, 0.0, 0.5))
+    assert next(iter(log)).laser.T_base_laser == (1.0, 0.0, 0.5)
+    assert source_of(log) == {"laser_pose": "1 0 0.5", "laser_pose_from": "given"}
+    write_npz_log(path, **example_arrays(), poses=np.zeros((4, 3)), poses_are_estimates=True)
+    assert source_of(open_log(path))["poses"] == "estimates"
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_given_mounting_is_finite(tmp_path, number):
+    with pytest.raises(ConfigError, match="three finite numbers"):
+        open_log(_written(tmp_path, example_arrays()), laser_pose=(0.0, number, 0.0))
 
 
 def test_partial_truth_other_keys_and_other_kinds_of_numbers(tmp_path):

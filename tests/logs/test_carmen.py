@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slammot_graph.errors import InputError
-from slammot_graph.logs import open_log
+from slammot_graph.logs import open_log, source_of
 from tests.logs.carmen_text import flaser, robotlaser, write_log
 from tests.logs.compare import assert_same_scans
 
@@ -96,6 +96,16 @@ def test_robotlaser_geometry_changes_from_scan_to_scan(tmp_path):
     assert a.laser.T_base_laser == b.laser.T_base_laser == (0.22, 0.0, 0.0)
     np.testing.assert_array_equal(c.T_odom_base, [1.0, 0.0, 1.570796])
     assert log.skipped == []
+
+
+def test_where_the_mounting_comes_from_is_told(tmp_path):
+    path = write_log(tmp_path / "a.clf", [robotlaser(GOOD, 1.0)])
+    told = source_of(open_log(path))
+    assert told["laser_pose_from"] == "the laser's lines"
+    assert told["laser_pose"].split() == [f"{x:.6g}" for x in next(iter(open_log(path))).laser.T_base_laser]
+    log = open_log(path, laser_pose=(0.1, 0.0, -3.0))
+    assert next(iter(log)).laser.T_base_laser == (0.1, 0.0, -3.0)
+    assert source_of(log) == {"laser_pose": "0.1 0 -3", "laser_pose_from": "given"}
 
 
 def test_one_kind_of_laser_line_is_read(tmp_path):

@@ -1,11 +1,12 @@
 import math
+import re
 import shutil
 
 import numpy as np
 import pytest
 
 from slammot_graph.errors import InputError
-from slammot_graph.logs import open_log
+from slammot_graph.logs import open_log, source_of
 from tests.logs import bag_files as bf
 from tests.logs.compare import assert_same_scans
 
@@ -287,13 +288,52 @@ def test_unknown_mounting_is_the_identity_and_said(tmp_path):
     for _ in range(2):
         assert next(iter(log)).laser.T_base_laser == (0.0, 0.0, 0.0)
         assert log.warnings == [
-            "tf does not tell where frame laser sits on base_link; the laser is taken to sit on the base"
+            "tf does not tell where frame laser sits on base_link;"
+            " the laser is taken to sit on the base, unless --laser-pose says where"
         ]
 
 
 def test_laser_frame_that_is_the_base(tmp_path):
     log = open_log(bf.write_bag(tmp_path, scans(frame="base_link") + odometry()))
     assert log.warnings == []
+
+
+@pytest.mark.parametrize("kind", bf.FORMATS)
+def test_what_was_used_is_told(tmp_path, kind):
+    broadcast = [bf.transform(t, "odom", "base_link", pose_at(t), topic="/tf") for t in ODOMETRY_STAMPS]
+    path = bf.write_bag(tmp_path, scans() + odometry() + broadcast + mounting(), kind)
+    told = {"scan_topic": "/scan", "laser_pose": "0.5 -0.25 0.75", "laser_pose_from": "tf"}
+    assert source_of(open_log(path)) == {**told, "odom_topic": "/odom"}
+    assert source_of(open_log(path, odom_topic="/tf")) == {**told, "odom_topic": "/tf"}
+
+
+def test_topics_that_were_told_open_the_bag_again(tmp_path):
+    """Odometry by tf, chosen by itself."""
+    broadcast = [bf.transform(t, "odom", "base_link", pose_at(t), topic="/tf") for t in ODOMETRY_STAMPS]
+    path = bf.write_bag(tmp_path, scans() + broadcast + mounting())
+    told = source_of(open_log(path))
+    assert told["odom_topic"] == "/tf"
+    again = open_log(path, scan_topic=told["scan_topic"], odom_topic=told["odom_topic"])
+    assert_same_scans(list(again), list(open_log(path)))
+
+
+def test_an_assumed_mounting_is_told(tmp_path):
+    told = source_of(open_log(bf.write_bag(tmp_path, scans() + odometry())))
+    assert (told["laser_pose"], told["laser_pose_from"]) == ("0 0 0", "assumed")
+
+
+def test_a_given_mounting_takes_the_place_of_tf(tmp_path):
+    bare, full = tmp_path / "bare", tmp_path / "full"
+    bare.mkdir()
+    full.mkdir()
+    messages = scans() + odometry()
+    for path in (bf.write_bag(bare, messages), bf.write_bag(full, messages + mounting(roll=math.pi))):
+        log = open_log(path, laser_pose=(0.1, 0.2, -3.0))
+        assert next(iter(log)).laser.T_base_laser == (0.1, 0.2, -3.0)
+        assert log.warnings == []
+        assert source_of(log)["laser_pose_from"] == "given"
+    laser = next(iter(log)).laser  # tf still tells that it is mounted upside down
+    np.testing.assert_allclose(laser.angles_base, -3.0 - np.array([-0.5, -0.25, 0.0]), atol=1e-6)
 
 
 def test_upside_down_laser_turns_its_beams(tmp_path):
@@ -327,6 +367,17 @@ def test_damaged_metadata(tmp_path, kind):
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: [oh")
     assert "damaged" in refusal(path)
     (path / "metadata.yaml").write_text("")
+    assert "damaged" in refusal(path)
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+@pytest.mark.parametrize(("key", "value"), [("nanoseconds", "soon"), ("nanoseconds_since_epoch", "null")])
+def test_numbers_of_the_metadata_that_are_none(tmp_path, kind, key, value):
+    path = bf.write_bag(tmp_path, scans() + odometry() + mounting(), kind)
+    text = (path / "metadata.yaml").read_text()
+    damaged = re.sub(rf"({key}): \d+", rf"\1: {value}", text)
+    assert damaged != text
+    (path / "metadata.yaml").write_text(damaged)
     assert "damaged" in refusal(path)
 
 
