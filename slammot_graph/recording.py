@@ -15,7 +15,6 @@ import numpy as np
 
 from slammot_graph import se2
 from slammot_graph.colors import (
-    COLOR_AFTER,
     COLOR_BEFORE,
     COLOR_CLOSURE,
     COLOR_ESTIMATE,
@@ -24,9 +23,10 @@ from slammot_graph.colors import (
     COLOR_ODOMETRY,
     COLOR_STATIC,
     COLOR_TRUTH,
-    track_color,
+    picture_track_color,
 )
 from slammot_graph.rerun_parts import (
+    MIN_FRAME_M,
     Frame,
     Sink,
     Times,
@@ -44,6 +44,7 @@ from slammot_graph.rerun_parts import (
 )
 from slammot_graph.result_types import (
     ClosureStatus,
+    EdgeKind,
     GraphEdge,
     GridMap,
     RunResult,
@@ -67,9 +68,9 @@ MOVING_SCANS = 40
 RECENT_SCANS = 600
 """How long what the nodes saw stays visible behind the cursor [scans]: the map is drawn anew less often."""
 SHIFT_SCANS = 30
-"""How long the graph as it was before and after a closure stays visible behind the cursor [scans]."""
-MAX_SHIFT_NODES = 1000
-"""Longer graphs are thinned to about so many nodes where they are drawn as they were before and after."""
+"""How long a closure, and the graph as it was before, stay visible behind the cursor [scans]."""
+MAX_WAY_NODES = 1000
+"""Longer graphs are thinned to about so many nodes where they are drawn as a line."""
 MAX_VIEW_NODES = 300
 """The graph view shows the shape of the graph, thinned to about so many nodes."""
 GRAPH_VIEW_SCALE = 20.0
@@ -78,6 +79,8 @@ LABELS_BELOW_M = 30.0
 """In a larger map the tracks' numbers would cover each other; beside the robot they are always shown."""
 MAP_SHARE, GRAPH_SHARE = 0.15, 0.10
 """What maps and graphs may add to the bytes of the scans: the larger they grow, the rarer they are logged."""
+MAP_HEAD_START, GRAPH_HEAD_START = 1 << 20, 1 << 18
+"""How many bytes more, so that a run's beginning has its maps and graphs before its first scans are sent."""
 CELLS_HALF_SIDE_M = 10.0
 """How far to each side of the robot cells of the test can be shown, along the axes of the local frame."""
 CELLS_MARGIN_M = 1.0
@@ -90,8 +93,8 @@ RENEWAL_SHARE = 0.1
 """Maps and graphs are logged when the run has grown by this share: all of them together cost a fixed time a scan."""
 NIS_BOUND_95 = 7.81
 """95% of a chi-square with 3 degrees of freedom."""
-NIS_SHOWN = 20.0
-"""The plot of the NIS ends here; a few matches lie far above."""
+NIS_SHOWN = (10.0, 20.0)
+"""The plot of the NIS ends between these; a few matches lie far above."""
 SIGMAS_95 = 2.448
 """Semi-axis of a 95% ellipse in the plane, in standard deviations."""
 
@@ -112,7 +115,8 @@ COLOR_CELLS = (0xCFC4E6FF, 0xD5EFD0FF, 0xD0B080FF)
 LEGEND = """
 | in the map | |
 |---|---|
-| white, black, grey | free, occupied, not known |
+| white to grey, black | free, the whiter the surer; occupied |
+| grey-green | not known |
 | small dark points | what the graph's nodes saw lately, also where the map is not yet drawn |
 | blue points | the scan's static points |
 | amber points | static by the decision, though `p_moving` is above one half |
@@ -121,15 +125,16 @@ LEGEND = """
 | pale green, tan, lilac squares | around moving points: free, occupied, unknown cells of the test's own grid |
 | | as the scan before left them, so the test saw them; in the view of the scan only |
 | thin blue ellipses | the same covariance of every tenth static point |
-| blue line, dark blue ellipse | estimated path, 95% of the robot's position |
+| blue line | the way through the graph's nodes as they are now |
+| thin blue line, dark blue ellipse | each scan's place as it was estimated then, 95% of the robot's position |
 | dark blue dot on the path | the scan that the local map hangs on |
 | orange line | raw odometry, started at the same place |
 | green line | truth, where it is known |
 | points with arrows | tracks with their velocity and 95% ellipse, numbered where there is room |
 | pink lines | loop closures of the graph |
-| green, amber, red lines | loop closures when they were accepted, held back, taken back |
+| green, amber, red lines | those just accepted, held back, taken back, for some scans |
 | grey lines | those last refused, hidden unless you switch `closures/refused` on |
-| brown and cyan line | for some scans: the graph before and after a closure |
+| brown line | for some scans: the graph before a closure |
 
 Zoom in on a red ellipse in the scan's view to see the cells that it covers. Click a point, or an ellipse, twice to
 read its `beam`, `p_moving`, the `reason` of the decision and the semi-axes of its 95% ellipse; click a loop closure to
@@ -253,11 +258,12 @@ class RerunLog:
         self._tried: list[_Tried] = []
         self._nodes: list[FloatArray] = []  # as they were last told, or else as each was when it was added
         self._nodes_before: FloatArray | None = None
+        self._closures: dict[tuple[int, int], None] = {}  # between which nodes, as far as was told
         self._last_step: StepResult | None = None
         self._sent = _Sent()
         self._budget = {
-            "map": _Budget(MAP_SHARE, 20),
-            "graph": _Budget(GRAPH_SHARE, 50),
+            "map": _Budget(MAP_SHARE, 20, head_start=MAP_HEAD_START),
+            "graph": _Budget(GRAPH_SHARE, 20, head_start=GRAPH_HEAD_START),
             "cells": _Budget(CELLS_SHARE, 1, renewal=0.0, head_start=CELLS_HEAD_START),
         }
         self._scan_boxes: list[FloatArray] = []
@@ -266,7 +272,7 @@ class RerunLog:
         with self._sink.errors():
             _log_style(self._rec)
             self._sink.log_text(
-                "/doc/config", f"# {method}\n{LEGEND}\n## Configuration\n{_config_table(config)}"
+                "/doc/config", f"{LEGEND}\n## Configuration of {method}\n{_config_table(config)}"
             )
 
     @property
@@ -294,7 +300,8 @@ class RerunLog:
         if self._last_step is None:
             with self._sink.errors():
                 self._scan_boxes.append(_box(step.scan.points_base()[step.is_valid]))
-                self._send_blueprint(Frame(step.T_map_base[:2], 15.0, 15.0), has_truth=_has_truth(step))
+                frame = Frame(step.T_map_base[:2], 15.0, 15.0)
+                self._send_blueprint(frame, frame, has_truth=_has_truth(step), tops={"nis": max(NIS_SHOWN)})
         self._follow_graph(step)
         self._steps.append(step)
         self._patches.append(self._cut_patch(step))
@@ -320,31 +327,35 @@ class RerunLog:
         """Log the graph as it is after the last step."""
         import rerun as rr
 
+        ends = {
+            kind: [(e.from_node, e.to_node) for e in edges if e.kind == kind] for kind in get_args(EdgeKind)
+        }
+        self._closures = dict.fromkeys(ends.pop("closure"))
         with self._sink.errors():
             self._set_time()
             self._rec.log("/world/graph/nodes", rr.Points3D(at_height(nodes[:, :2], 0.01)))
-            for kind in ("odometry", "match", "closure"):
-                ends = np.array([(e.from_node, e.to_node) for e in edges if e.kind == kind], dtype=np.int64)
-                strips = at_height(nodes[ends.reshape(-1, 2)][..., :2], 0.015)
-                self._rec.log(f"/world/graph/{kind}", rr.LineStrips3D(strips))
+            for kind, pairs in ends.items():
+                self._rec.log(f"/world/graph/{kind}", _edges(nodes, pairs))
             self._log_graph_view(nodes, edges)
         self._budget["graph"].spend(self._n_scans, 12.0 * len(nodes) + 24.0 * len(edges))
         self.log_nodes(nodes)
 
     def log_nodes(self, nodes: FloatArray) -> None:
-        """Log the nodes before and after the last closure, where that has not been done yet."""
+        """Log the way through the nodes and the closures between them, and what the last closure did to them."""
         import rerun as rr
 
         self._nodes = list(nodes)
         before, self._nodes_before = self._nodes_before, None
-        if before is None:
-            return
+        ways = [("/world/estimate/way", nodes, 0.021)]
+        if before is not None:
+            ways.append(("/world/closures/graph_before", before, 0.032))
         with self._sink.errors():
             self._set_time()
-            for name, poses, z in (("before", before, 0.032), ("after", nodes[: len(before)], 0.034)):
-                kept = _thinned(len(poses), MAX_SHIFT_NODES)
-                strip = at_height(poses[None, kept, :2], z)
-                self._rec.log(f"/world/closures/graph_{name}", rr.LineStrips3D(strip))
+            for path, poses, z in ways:
+                if len(poses) > 1:
+                    way = at_height(poses[None, _thinned(len(poses), MAX_WAY_NODES), :2], z)
+                    self._rec.log(path, rr.LineStrips3D(way))
+            self._rec.log("/world/graph/closure", _edges(nodes, list(self._closures)))
 
     def finish(self, result: RunResult) -> None:
         """Log the final trajectory, map, graph and figures, and a layout that fits the final map."""
@@ -360,9 +371,8 @@ class RerunLog:
                 self._rec.log("/world/final/path", rr.LineStrips3D(path))
                 has_truth = self._last_step is not None and _has_truth(self._last_step)
                 frame = view_of(result.T_map_base, result.grid)
-                # the first scans take long, since kernels are loaded
-                slow_ms = np.nanpercentile(result.stage_ms.get("step", np.array([np.nan])), 99.0)
-                self._send_blueprint(frame, has_truth=has_truth, step_ms=float(slow_ms))
+                of_graph = _frame_of(result.nodes) if len(result.nodes) else frame
+                self._send_blueprint(frame, of_graph, has_truth=has_truth, tops=_tops(result))
             self._sink.log_text("/doc/summary", _summary(result))
 
     def close(self) -> None:
@@ -385,6 +395,11 @@ class RerunLog:
         if step.node is not None:
             last = self._last_step
             self._nodes.append(_uncorrected(last, step) if has_closed and last else step.T_map_base)
+        for attempt in step.closures:
+            if attempt.status == "accepted":
+                self._closures[attempt.target_node, attempt.source_node] = None
+            elif attempt.status == "taken back":
+                self._closures.pop((attempt.target_node, attempt.source_node), None)
         if step.closures:
             ends = [
                 (self._nodes[attempt.target_node], self._nodes[attempt.source_node])
@@ -584,7 +599,7 @@ class RerunLog:
         centre = np.array([state.position for state in states]).reshape(-1, 2)
         velocity = np.array([state.velocity for state in states]).reshape(-1, 2)
         cov = np.array([state.position_cov for state in states]).reshape(-1, 2, 2)
-        colors = np.array([track_color(state.track_id) for state in states], dtype=np.uint32)
+        colors = np.array([picture_track_color(state.track_id) for state in states], dtype=np.uint32)
         places = at_height(centre, 0.08)
         before = []
         for of_scan in tracks:
@@ -633,7 +648,7 @@ class RerunLog:
         self._send_scalars("count/valid", times, n_valid)
         self._send_scalars("count/moving", times, n_moving)
         self._send_scalars("count/static", times, n_valid - n_moving)
-        self._send_scalars("count/tracks", times, np.array([float(len(step.tracks)) for step in steps]))
+        self._send_scalars("tracks/tracks", times, np.array([float(len(step.tracks)) for step in steps]))
         self._send_scalars("nis/nis", times, np.array([step.innovation_nis for step in steps]))
         ends = np.full(len(steps), np.nan)
         ends[[0, -1]] = NIS_BOUND_95
@@ -711,7 +726,11 @@ class RerunLog:
         path = f"/plots/{name}"
         if path not in self._sent.named:
             self._sent.named.add(path)
-            line = rr.SeriesLines(names=name.split("/")[1].replace("_", " "), colors=_LINE_COLORS.get(name))
+            line = rr.SeriesLines(
+                names=name.split("/")[1].replace("_", " "),
+                colors=_LINE_COLORS.get(name),
+                widths=_LINE_WIDTHS.get(name, 1.5),
+            )
             self._rec.log(path, line, static=True)
         self._send(path, times[rows], rr.Scalars.columns(scalars=values[rows]))
 
@@ -746,14 +765,18 @@ class RerunLog:
                 radii=np.full(len(kept), 4.0, dtype=np.float32),
                 show_labels=False,
             ),
-            rr.GraphEdges(list(pairwise(names)), graph_type="undirected"),
+            rr.GraphEdges(
+                # of this entity, since an edge finds no nodes of another one
+                [*pairwise(names), *((str(a), str(b)) for a, b in closures)],
+                graph_type="undirected",
+            ),
         )
-        pairs = [(str(a), str(b)) for a, b in closures]
-        self._rec.log("/graph/closures", rr.GraphEdges(pairs, graph_type="directed"))
 
-    def _send_blueprint(self, of_map: Frame, *, has_truth: bool, step_ms: float = math.nan) -> None:
+    def _send_blueprint(
+        self, of_map: Frame, of_graph: Frame, *, has_truth: bool, tops: Mapping[str, float]
+    ) -> None:
         of_scan = Frame.around(np.median(self._scan_boxes, axis=0))
-        self._rec.send_blueprint(_blueprint(of_map, of_scan, has_truth=has_truth, step_ms=step_ms))
+        self._rec.send_blueprint(_blueprint(of_map, of_scan, of_graph, has_truth=has_truth, tops=tops))
 
 
 @dataclass(frozen=True, eq=False)
@@ -873,9 +896,16 @@ _LINE_COLORS = {
     "count/moving": COLOR_MOVING,
     "count/static": COLOR_STATIC,
     "count/valid": 0x999999FF,
+    "tracks/tracks": COLOR_ODOMETRY,
     "nis/nis": COLOR_MATCH,
     "nis/bound_95": COLOR_MOVING,
-    "timing/step": 0xDDDDDDFF,
+    "timing/step": 0xEEEEEEFF,
+    "timing/predict": 0xF0E442FF,
+    "timing/match": COLOR_MATCH,
+    "timing/detect": COLOR_MOVING,
+    "timing/graph": COLOR_ODOMETRY,
+    "timing/map": COLOR_TRUTH,
+    "timing/objects": COLOR_CLOSURE,
     "error_m/distance": COLOR_TRUTH,
     "error_deg/turn": COLOR_TRUTH,
     **{f"{group}/in_map": COLOR_ESTIMATE for group in ("std_m", "std_deg")},
@@ -883,6 +913,9 @@ _LINE_COLORS = {
     "residual/residual_m": COLOR_MATCH,
     "inliers/inlier_ratio": COLOR_MATCH,
 }
+
+_LINE_WIDTHS = {"timing/step": 0.6}
+"""It lies above those of its stages and must not hide them."""
 
 
 def _log_style(rec: "rr.RecordingStream") -> None:
@@ -910,7 +943,8 @@ def _log_style(rec: "rr.RecordingStream") -> None:
         vectors=[[0.6, 0.0, 0.0]], origins=[[0.0, 0.0, 0.09]], colors=COLOR_ESTIMATE, radii=0.05
     )
     style("/world/robot/body", body)
-    line("/world/estimate/path", COLOR_ESTIMATE, 1.5)
+    line("/world/estimate/way", COLOR_ESTIMATE, 2.0)
+    line("/world/estimate/path", COLOR_ESTIMATE, 0.8)
     line("/world/odom/path", COLOR_ODOMETRY, 1.0)
     line("/world/truth/path", COLOR_TRUTH, 3.0)  # it shows beside an estimate that lies on it
     line("/world/final/path", COLOR_ESTIMATE, 2.0)
@@ -943,7 +977,6 @@ def _log_style(rec: "rr.RecordingStream") -> None:
         line(_closure_path(status), color, 1.0 if status == "refused" else 2.5)
         style(_closure_path(status), rr.LineStrips3D.from_fields(show_labels=False))
     line("/world/closures/graph_before", COLOR_BEFORE, 1.5)
-    line("/world/closures/graph_after", COLOR_AFTER, 1.5)
     states = {"converged": 0x4CAF50FF, "degenerate": 0xF2A900FF, "failed": COLOR_MOVING, "none": 0x777777FF}
     style(
         "/state/match",
@@ -951,10 +984,12 @@ def _log_style(rec: "rr.RecordingStream") -> None:
     )
 
 
-def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float) -> "rrb.Blueprint":
-    """Lay out the views; the map and the scan are seen from above, each within its frame.
+def _blueprint(
+    of_map: Frame, of_scan: Frame, of_graph: Frame, *, has_truth: bool, tops: Mapping[str, float]
+) -> "rrb.Blueprint":
+    """Lay out the views; the map, the scan and the graph are seen from above, each within its frame.
 
-    `step_ms` is how long most steps took, NaN if that is not known yet.
+    `tops` is where plots end, by their group; the others, and those not named yet, show all.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -968,9 +1003,8 @@ def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float
         "/world/map/recent": until_cursor(RECENT_SCANS),
     }
     of_closures = {
-        _closure_path("accepted"): until_cursor(),
+        _closure_path("accepted"): until_cursor(SHIFT_SCANS),
         "/world/closures/graph_before": until_cursor(SHIFT_SCANS),
-        "/world/closures/graph_after": until_cursor(SHIFT_SCANS),
     }
     map_view = view_from_above(
         "Map",
@@ -987,9 +1021,9 @@ def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float
     graph_map = view_from_above(
         "Graph on the map",
         "/world",
-        ["/world/map/grid", "/world/graph/**", "/world/closures/**", "/world/final/**"],
+        [f"/world/{name}" for name in ("map/grid", "graph/**", "closures/**", "estimate/way", "final/**")],
         of_map.eye(1.1),
-        of_closures,
+        {**of_closures, _closure_path("refused"): rrb.EntityBehavior(visible=False)},
     )
     scan_view = view_from_above(
         "Scan, robot's frame",
@@ -998,31 +1032,45 @@ def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float
         of_scan.eye(1.7, ahead_is_up=True),
         {path: what for path, what in trails.items() if "path" not in path},
     )
-    half = 0.55 * GRAPH_VIEW_SCALE * of_map.extent_m
-    x, y = (GRAPH_VIEW_SCALE * of_map.centre).tolist()
+    across = 0.55 * GRAPH_VIEW_SCALE * max(of_graph.width_m, MIN_FRAME_M)
+    up = 0.55 * GRAPH_VIEW_SCALE * max(of_graph.height_m, MIN_FRAME_M)
+    x, y = (GRAPH_VIEW_SCALE * of_graph.centre).tolist()
     graph_view = rrb.GraphView(
         origin="/graph",
         name="Graph",
-        visual_bounds=rrb.VisualBounds2D(x_range=(x - half, x + half), y_range=(-y - half, -y + half)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(x - across, x + across), y_range=(-y - up, -y + up)),
     )
     plots: list[rrb.View | rrb.Container] = [
-        plot_view("NIS of the match, 95% bound", "nis", top=NIS_SHOWN),
-        plot_view("Points and tracks", "count"),
-        plot_view("Time per stage [ms]", "timing", top=1.2 * step_ms if math.isfinite(step_ms) else None),
+        plot_view("NIS of the match, 95% bound", "nis", top=tops.get("nis")),
+        rrb.Horizontal(
+            plot_view("Points", "count", top=tops.get("count")),
+            plot_view("Tracks", "tracks", has_legend=False),
+            name="Points and tracks",
+        ),
+        plot_view("Time per stage [ms]", "timing", top=tops.get("timing")),
         plot_pair(
             "Uncertainty (relative: of the test)",
             ("Position std [m]", "std_m"),
             ("Heading std [degrees]", "std_deg"),
         ),
-        plot_pair("Match", ("Residual [m]", "residual"), ("Share of inliers", "inliers")),
+        plot_pair("Match", ("Residual [m]", "residual"), ("Share of inliers", "inliers"), has_legend=False),
     ]
     if has_truth:
         plots.append(
-            plot_pair("Error", ("Distance from the truth [m]", "error_m"), ("Turn [degrees]", "error_deg"))
+            plot_pair(
+                "Error",
+                ("Distance from the truth [m]", "error_m"),
+                ("Turn [degrees]", "error_deg"),
+                has_legend=False,
+            )
         )
     texts = [
         rrb.TextDocumentView(origin="/doc/config", name="Legend and configuration"),
-        rrb.TextLogView(origin="/log", name="Events"),
+        rrb.TextLogView(
+            origin="/log",
+            name="Events",
+            columns=rrb.TextLogColumns(timeline_columns=["scan"], text_log_columns=["LogLevel", "Body"]),
+        ),
         rrb.TextDocumentView(origin="/doc/summary", name="Summary"),
     ]
     return rrb.Blueprint(
@@ -1046,6 +1094,14 @@ def _blueprint(of_map: Frame, of_scan: Frame, *, has_truth: bool, step_ms: float
 
 def _closure_path(status: ClosureStatus) -> str:
     return f"/world/closures/{status.replace(' ', '_')}"
+
+
+def _edges(nodes: FloatArray, pairs: Sequence[tuple[int, int]]) -> "rr.LineStrips3D":
+    """Make lines between nodes (m, 3)."""
+    import rerun as rr
+
+    ends = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return rr.LineStrips3D(at_height(nodes[ends][..., :2], 0.015))
 
 
 def _thinned(n: int, n_most: int) -> range:
@@ -1089,6 +1145,27 @@ def _box(points: FloatArray) -> FloatArray:
     """Low and high corner (2, 2) of the robot and most of the points (n, 2) around it [m]."""
     low, high = np.percentile(points, [10.0, 90.0], axis=0) if len(points) else np.zeros((2, 2))
     return np.array([np.minimum(low, -1.0), np.maximum(high, 1.0)])
+
+
+def _frame_of(poses: FloatArray) -> Frame:
+    """Frame poses (n, 3) of at least one."""
+    return Frame.around(np.array([poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)]))
+
+
+def _tops(result: RunResult) -> dict[str, float]:
+    """Say where plots end, by their group, so that a few scans do not squeeze all others."""
+    # the first scans take long, since kernels are loaded
+    step_ms, nis = (
+        np.nanpercentile(values, 99.0) if np.isfinite(values).any() else math.nan
+        for values in (result.stage_ms.get("step", np.empty(0)), result.nis)
+    )
+    n_points = np.count_nonzero(result.is_valid, axis=1).max(initial=0)
+    tops = {
+        "timing": 1.2 * float(step_ms),
+        "nis": float(np.clip(1.2 * nis, *NIS_SHOWN)),
+        "count": 1.4 * float(n_points),  # the legend is above the lines
+    }
+    return {group: top for group, top in tops.items() if top > 0.0}
 
 
 def _has_truth(step: StepResult) -> bool:

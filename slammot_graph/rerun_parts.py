@@ -27,6 +27,8 @@ MAP_HEIGHT_M = -0.05
 EYE_DISTANCE = 1.03
 """How far the viewer's eye must be to see a metre from below to above, with a little to spare [m]."""
 MIN_FRAME_M = 5.0
+COLOR_UNKNOWN = (112, 137, 134)
+"""Around the map, as the viewer colours its unknown cells."""
 DARKER = 0.94
 """How much darker than its neighbours every other cell is."""
 
@@ -285,7 +287,7 @@ def view_from_above(
         contents=contents,
         eye_controls=eye,
         overrides=overrides,
-        background=(128, 140, 138),
+        background=COLOR_UNKNOWN,
         line_grid=False,
     )
 
@@ -304,19 +306,29 @@ def until_cursor(n_scans: int | None = None) -> "rrb.VisibleTimeRanges":
     )
 
 
-def plot_view(name: str, group: str, *, top: float | None = None) -> "rrb.TimeSeriesView":
-    """Lay out a plot of the lines below ``/plots/group``, from 0 to `top` where that is given."""
+def plot_view(
+    name: str, group: str, *, top: float | None = None, has_legend: bool = True
+) -> "rrb.TimeSeriesView":
+    """Lay out a plot of the lines below ``/plots/group`` at all times, from 0 to `top` where that is given."""
+    import rerun as rr
     import rerun.blueprint as rrb
 
-    axis = None if top is None else rrb.ScalarAxis(range=(0.0, top))
-    return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name, axis_y=axis)
+    ends = rrb.TimeRangeBoundary.infinite()
+    return rrb.TimeSeriesView(
+        origin=f"/plots/{group}",
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=ends, end=ends)),
+        axis_y=None if top is None else rrb.ScalarAxis(range=(0.0, top)),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=has_legend),
+    )
 
 
-def plot_pair(name: str, *plots: tuple[str, str]) -> "rrb.Vertical":
-    """Lay out plots of different units, name and group of each, one above the other."""
+def plot_pair(name: str, *plots: tuple[str, str], has_legend: bool = True) -> "rrb.Horizontal":
+    """Lay out plots of different units, name and group of each, side by side."""
     import rerun.blueprint as rrb
 
-    return rrb.Vertical(*(plot_view(title, group) for title, group in plots), name=name)
+    views = (plot_view(title, group, has_legend=has_legend) for title, group in plots)
+    return rrb.Horizontal(*views, name=name)
 
 
 def collapsed_panels() -> "tuple[rrb.TimePanel, rrb.SelectionPanel, rrb.BlueprintPanel]":

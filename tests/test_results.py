@@ -13,6 +13,7 @@ from slammot_graph.errors import InputError
 from slammot_graph.evaluation import read_trajectory
 from slammot_graph.result_types import GridMap, RunResult
 from slammot_graph.results import prepare_output, read_points, write_run_folder
+from slammot_graph.types import FloatArray
 from tests.rooms import drive
 
 FILES = {
@@ -127,8 +128,9 @@ def test_without_a_graph_there_is_no_g2o(folder: Path) -> None:
 def test_the_picture_names_the_log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, log: str | None) -> None:
     names = []
 
-    def draw(_result: RunResult, path: Path, *, log_name: str | None) -> None:
+    def draw(drawn: RunResult, path: Path, *, log_name: str | None, moving_points: FloatArray) -> None:
         names.append(log_name)
+        assert moving_points is drawn.moving_points
         path.touch()
 
     monkeypatch.setattr("slammot_graph.overview.draw_overview", draw)

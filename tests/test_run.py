@@ -49,6 +49,18 @@ def test_raw_odometry_starts_where_the_trajectory_does() -> None:
     )
 
 
+@pytest.mark.parametrize("method", ["graph", "docpfo"])
+def test_moving_points_are_those_of_the_final_labels(method: str) -> None:
+    log = drive(60)
+    result = Run(log, method).complete()
+    expected = [
+        scan.points(T)[is_moving]
+        for scan, T, is_moving in zip(log, result.T_map_base, result.is_moving, strict=True)
+    ]
+    assert len(result.moving_points) > 20
+    np.testing.assert_allclose(result.moving_points, np.concatenate(expected), atol=1e-5)
+
+
 def test_tracks_are_rows_of_plain_numbers() -> None:
     run, rows = Run(drive(60)), []
     for step in run:
