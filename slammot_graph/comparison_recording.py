@@ -94,7 +94,7 @@ _LEGEND = """
 | line and arrow in a run's colour | its way, and where it is now |
 | points in that colour | what it says moves, of the last scans |
 | green line | the truth, where it is known |
-| white, black, grey | free, occupied, not known in the first run's map |
+| white, black, grey-green | free, occupied, not known in the first run's map |
 
 All runs are laid onto the start of the first. To see another run's map, switch `runs/NAME/map` on.
 """
@@ -189,7 +189,11 @@ def _send_plots(rec: "rr.RecordingStream", run: ComparedRun, color: int) -> list
     known = {group: np.asarray(values, float) for group, values in lines.items() if values is not None}
     for group, values in known.items():
         entity = rr.new_entity_path(["plots", group, run.name])
-        rec.log(entity, rr.SeriesLines(names=run.name, colors=color), static=True)
+        # the mean of those that share a pixel would hide that one of them was high
+        extremes = rr.components.AggregationPolicy.MinMax
+        rec.log(
+            entity, rr.SeriesLines(names=run.name, colors=color, aggregation_policy=extremes), static=True
+        )
         rows = np.flatnonzero(np.isfinite(values))
         columns = rr.Scalars.columns(scalars=values[rows])
         rec.send_columns(entity, indexes=_times(run)[rows].columns(), columns=columns)

@@ -30,6 +30,7 @@ from slammot_graph.rerun_parts import (
     Frame,
     Sink,
     Times,
+    at_all_times,
     at_height,
     cell_colors,
     cell_columns,
@@ -346,9 +347,10 @@ class RerunLog:
 
         self._nodes = list(nodes)
         before, self._nodes_before = self._nodes_before, None
-        ways = [("/world/estimate/way", nodes, 0.021)]
+        ways = [("/world/estimate/way", nodes, 0.024)]
         if before is not None:
-            ways.append(("/world/closures/graph_before", before, 0.032))
+            # below the way, so that it shows where that has moved
+            ways.append(("/world/closures/graph_before", before, 0.017))
         with self._sink.errors():
             self._set_time()
             for path, poses, z in ways:
@@ -672,8 +674,9 @@ class RerunLog:
         times = _times(steps)
         row_of = [row for row, step in enumerate(steps) for _ in step.events]
         if row_of:
-            texts = list(chain.from_iterable(step.events for step in steps))
-            levels = ["WARN" if _is_warning(text) else "INFO" for text in texts]
+            events = [(step.scan.index, event) for step in steps for event in step.events]
+            texts = [f"scan {index}: {event}" for index, event in events]  # the view cuts its own column
+            levels = ["WARN" if _is_warning(event) else "INFO" for _, event in events]
             self._send("/log/events", times[row_of], rr.TextLog.columns(text=texts, level=levels))
         states = ["none" if step.match is None else step.match.status for step in steps]
         before = [self._sent.state, *states[:-1]]
@@ -730,6 +733,8 @@ class RerunLog:
                 names=name.split("/")[1].replace("_", " "),
                 colors=_LINE_COLORS.get(name),
                 widths=_LINE_WIDTHS.get(name, 1.5),
+                # the mean of those that share a pixel would hide that one of them was high
+                aggregation_policy=rr.components.AggregationPolicy.MinMax,
             )
             self._rec.log(path, line, static=True)
         self._send(path, times[rows], rr.Scalars.columns(scalars=values[rows]))
@@ -899,7 +904,7 @@ _LINE_COLORS = {
     "tracks/tracks": COLOR_ODOMETRY,
     "nis/nis": COLOR_MATCH,
     "nis/bound_95": COLOR_MOVING,
-    "timing/step": 0xEEEEEEFF,
+    "timing/step": 0xEEEEEE50,
     "timing/predict": 0xF0E442FF,
     "timing/match": COLOR_MATCH,
     "timing/detect": COLOR_MOVING,
@@ -1023,7 +1028,11 @@ def _blueprint(
         "/world",
         [f"/world/{name}" for name in ("map/grid", "graph/**", "closures/**", "estimate/way", "final/**")],
         of_map.eye(1.1),
-        {**of_closures, _closure_path("refused"): rrb.EntityBehavior(visible=False)},
+        {
+            **of_closures,
+            _closure_path("refused"): rrb.EntityBehavior(visible=False),
+            "/world/estimate/way": rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(0.6)),
+        },
     )
     scan_view = view_from_above(
         "Scan, robot's frame",
@@ -1069,7 +1078,7 @@ def _blueprint(
         rrb.TextLogView(
             origin="/log",
             name="Events",
-            columns=rrb.TextLogColumns(timeline_columns=["scan"], text_log_columns=["LogLevel", "Body"]),
+            columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
         ),
         rrb.TextDocumentView(origin="/doc/summary", name="Summary"),
     ]
@@ -1079,7 +1088,7 @@ def _blueprint(
             rrb.Vertical(
                 rrb.Tabs(scan_view, graph_view, active_tab=0),
                 rrb.Tabs(*plots, active_tab=0),
-                rrb.StateTimelineView(origin="/state", name="State of the match"),
+                rrb.StateTimelineView(origin="/state", name="State of the match", time_view=at_all_times()),
                 rrb.Tabs(*texts, active_tab=0),
                 row_shares=[10, 8, 3, 6],
             ),
@@ -1154,15 +1163,14 @@ def _frame_of(poses: FloatArray) -> Frame:
 
 def _tops(result: RunResult) -> dict[str, float]:
     """Say where plots end, by their group, so that a few scans do not squeeze all others."""
+    step_ms = result.stage_ms.get("step", np.empty(0))
     # the first scans take long, since kernels are loaded
-    step_ms, nis = (
-        np.nanpercentile(values, 99.0) if np.isfinite(values).any() else math.nan
-        for values in (result.stage_ms.get("step", np.empty(0)), result.nis)
-    )
+    slow_ms = float(np.nanpercentile(step_ms, 99.0)) if np.isfinite(step_ms).any() else 0.0
+    nis = np.max(result.nis, where=np.isfinite(result.nis), initial=0.0)
     n_points = np.count_nonzero(result.is_valid, axis=1).max(initial=0)
     tops = {
-        "timing": 1.2 * float(step_ms),
-        "nis": float(np.clip(1.2 * nis, *NIS_SHOWN)),
+        "timing": 1.2 * slow_ms,
+        "nis": float(np.clip(1.1 * nis, *NIS_SHOWN)),
         "count": 1.4 * float(n_points),  # the legend is above the lines
     }
     return {group: top for group, top in tops.items() if top > 0.0}

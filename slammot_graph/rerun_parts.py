@@ -306,18 +306,25 @@ def until_cursor(n_scans: int | None = None) -> "rrb.VisibleTimeRanges":
     )
 
 
-def plot_view(
-    name: str, group: str, *, top: float | None = None, has_legend: bool = True
-) -> "rrb.TimeSeriesView":
-    """Lay out a plot of the lines below ``/plots/group`` at all times, from 0 to `top` where that is given."""
+def at_all_times() -> "rrb.TimeAxis":
+    """Show a whole recording; the viewer's own choice is a part around the cursor."""
     import rerun as rr
     import rerun.blueprint as rrb
 
     ends = rrb.TimeRangeBoundary.infinite()
+    return rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=ends, end=ends))
+
+
+def plot_view(
+    name: str, group: str, *, top: float | None = None, has_legend: bool = True
+) -> "rrb.TimeSeriesView":
+    """Lay out a plot of the lines below ``/plots/group`` at all times, from 0 to `top` where that is given."""
+    import rerun.blueprint as rrb
+
     return rrb.TimeSeriesView(
         origin=f"/plots/{group}",
         name=name,
-        axis_x=rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=ends, end=ends)),
+        axis_x=at_all_times(),
         axis_y=None if top is None else rrb.ScalarAxis(range=(0.0, top)),
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=has_legend),
     )

@@ -347,9 +347,46 @@ def test_a_recording_carries_its_layout(tmp_path: Path) -> None:
     assert len(reader.blueprints()) >= 1
 
 
+def test_a_short_run_has_its_map_and_graph(tmp_path: Path) -> None:
+    """Also before the first scans are sent."""
+    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(drive(60))
+    for step in run:
+        _record(run, log, step)
+    log.close()
+    for entity, component in (
+        ("/world/map/grid", "GridMap:cell_size"),
+        ("/world/graph/nodes", "Points3D:positions"),
+        ("/world/estimate/way", "LineStrips3D:strips"),
+    ):
+        assert max(entries(tmp_path / "run.rrd", entity, component)) >= 40
+
+
+@pytest.mark.parametrize(
+    ("nis", "top"), [([], 10.0), ([np.nan], 10.0), ([1.0, np.nan], 10.0), ([15.0], 16.5), ([900.0], 20.0)]
+)
+def test_plots_end_above_most_of_their_values(nis: list[float], top: float, tmp_path: Path) -> None:
+    result = replace(record(tmp_path / "run.rrd"), nis=np.array(nis))
+    tops = recording._tops(result)
+    assert tops["nis"] == pytest.approx(top)
+    assert tops["count"] == pytest.approx(1.4 * result.is_valid.sum(axis=1).max())
+    assert np.nanmedian(result.stage_ms["step"]) < tops["timing"]
+    without = recording._tops(replace(result, stage_ms={}, is_valid=np.zeros((0, 0), dtype=bool)))
+    assert set(without) == {"nis"}
+
+
+def test_events_name_their_scan(tmp_path: Path) -> None:
+    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    for k, step in enumerate(Run(drive(10))):
+        log.log_step(replace(step, events=("match failed: so it is",) if k == 7 else ()))
+    log.close()
+    texts = entries(tmp_path / "run.rrd", "/log/events", "TextLog:text")
+    assert texts == {7: ["scan 7: match failed: so it is"]}
+    assert entries(tmp_path / "run.rrd", "/log/events", "TextLog:level") == {7: ["WARN"]}
+
+
 def test_a_recording_is_small(tmp_path: Path) -> None:
     record(tmp_path / "run.rrd")
-    assert (tmp_path / "run.rrd").stat().st_size < 600_000 + N_SCANS * 11_000  # the layouts, and the scans
+    assert (tmp_path / "run.rrd").stat().st_size < 750_000 + N_SCANS * 11_000  # the layouts, and the scans
 
 
 def test_a_folder_that_is_not_there_is_a_clear_line(tmp_path: Path) -> None:
@@ -411,7 +448,7 @@ def test_a_closure_joins_the_places_of_its_nodes(ring: Ring) -> None:
 
 def test_the_graph_is_there_before_and_after_a_closure(ring: Ring) -> None:
     before = strips(ring.path, "/world/closures/graph_before")
-    after = strips(ring.path, "/world/closures/graph_after")
+    after = strips(ring.path, "/world/estimate/way")
     assert set(before) == set(after) == set(ring.after)
     assert len(after) >= 5
     for scan, nodes in ring.after.items():
@@ -422,6 +459,58 @@ def test_the_graph_is_there_before_and_after_a_closure(ring: Ring) -> None:
         np.testing.assert_allclose(way, np.diff(new[-2:], axis=0), atol=0.02)
     first = min(after)
     assert np.hypot(*(after[first][0] - before[first][0]).T).max() > 0.05
+
+
+def test_closures_of_the_graph_follow_its_nodes(ring: Ring) -> None:
+    """Each closure moves those before it."""
+    drawn = strips(ring.path, "/world/graph/closure")
+    accepted: list[tuple[int, int]] = []
+    assert set(drawn) == set(ring.after)
+    for step in ring.steps:
+        of_step = [attempt for attempt in step.closures if attempt.status == "accepted"]
+        assert all(attempt.status != "taken back" for attempt in step.closures)
+        accepted += [(attempt.target_node, attempt.source_node) for attempt in of_step]
+        if of_step:
+            nodes = ring.after[step.scan.index]
+            np.testing.assert_allclose(drawn[step.scan.index], nodes[accepted][..., :2], atol=1e-5)
+
+
+def test_a_closure_that_is_taken_back_is_no_longer_drawn(tmp_path: Path) -> None:
+    def attempt(source: int, status: ClosureStatus) -> ClosureAttempt:
+        return ClosureAttempt(
+            target_node=0, source_node=source, status=status, reason="", T_target_source=np.zeros(3)
+        )
+
+    tried = {40: [attempt(1, "accepted")], 60: [attempt(2, "accepted"), attempt(1, "taken back")]}
+    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(drive(70))
+    for k, step in enumerate(run):
+        log.log_step(replace(step, closures=tuple(tried.get(k, ()))))
+        if log.wants_nodes:
+            nodes = run.pipeline.nodes_and_edges()[0]
+            log.log_nodes(nodes)
+    log.close()
+    drawn = strips(tmp_path / "run.rrd", "/world/graph/closure")
+    assert {k: len(lines) for k, lines in drawn.items()} == {40: 1, 60: 1}
+    np.testing.assert_allclose(drawn[60][0], nodes[[0, 2], :2], atol=1e-5)
+
+
+def test_the_graph_view_joins_nodes_that_it_has(ring: Ring) -> None:
+    """An edge to a node of another entity would make a node of its own, somewhere."""
+    log, run = RerunLog(path=ring.path.with_name("graph.rrd"), method="graph", config={}), Run(ring_log(3))
+    for step in run:
+        log.log_step(step)
+    result = run.result()
+    log.finish(result)
+    log.close()
+    path = ring.path.with_name("graph.rrd")
+    assert [name for name in rows(path) if name.startswith("/graph/")] == ["/graph/chain"]
+    (names,) = entries(path, "/graph/chain", "GraphNodes:node_ids").values()
+    (edges,) = entries(path, "/graph/chain", "GraphEdges:edges").values()
+    ends = {(edge["first"], edge["second"]) for edge in edges}
+    closures = {(str(e.from_node), str(e.to_node)) for e in result.edges if e.kind == "closure"}
+    assert len(closures) >= 5
+    assert closures <= ends
+    assert {end for edge in ends for end in edge} <= set(names)
 
 
 def test_only_the_latest_attempts_are_drawn_each_with_its_status(tmp_path: Path) -> None:
@@ -473,9 +562,9 @@ def test_the_graph_before_and_after_waits_for_the_nodes(tmp_path: Path) -> None:
     ((scan, (before,)),) = strips(tmp_path / "run.rrd", "/world/closures/graph_before").items()
     assert scan == 29
     np.testing.assert_allclose(before, np.array(nodes)[:, :2], atol=1e-3)
-    ((scan, (after,)),) = strips(tmp_path / "run.rrd", "/world/closures/graph_after").items()
+    ((scan, (after,)),) = strips(tmp_path / "run.rrd", "/world/estimate/way").items()
     assert scan == 29
-    np.testing.assert_allclose(after, run.result().nodes[: len(nodes), :2], atol=1e-5)
+    np.testing.assert_allclose(after, run.result().nodes[:, :2], atol=1e-5)
 
 
 def test_a_point_tells_its_beam_its_probability_its_reason_and_its_ellipse(tmp_path: Path) -> None:
