@@ -45,7 +45,7 @@ N_WARM = 40
 
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "TBB", "NUMBA", "OPENBLAS", "MKL")}
 
-GATE_LASERS, GATE_SCANS, GATE_ROUNDS = ("lms200", "lowcost360"), 700, 3
+GATE_LASERS, GATE_SCANS, GATE_ROUNDS = ("lms200", "lowcost360", "utm30lx"), 700, 3
 GATE_SLACK = 1.25
 BASELINE = ROOT / "experiments" / "baselines" / "speed.json"
 
