@@ -101,6 +101,26 @@ def test_the_lab_driven_twice_is_closed_rightly(seed: int, n_people: int) -> Non
     assert distances(log, closed).mean() < 1.1 * distances(log, open_).mean()
 
 
+def test_in_a_known_place_the_graph_gets_few_nodes_and_no_worse() -> None:
+    """A third lap adds hardly more nodes than local maps, and each of these hangs on one."""
+    log = simulate("lab", seed=1, n_people=0, n_laps=3)
+    run = Run(log, "graph")
+    nodes, known = [], []
+    for step in run:
+        localizer = run.pipeline.localizer  # type: ignore[union-attr]
+        nodes.append(step.node is not None)
+        known.append(localizer.closer.is_known)  # type: ignore[attr-defined]
+        assert localizer.local_map.anchor.node >= 0  # type: ignore[attr-defined]
+    result = run.result()
+    first, _, last = np.array_split(nodes, 3)
+    assert not any(known[: len(first) // 2])
+    assert np.mean(np.array_split(known, 3)[2]) > 0.8
+    assert np.sum(last) < 0.4 * np.sum(first)
+    assert [int(k) for k in np.flatnonzero(nodes)] == result.node_scans.tolist()
+    assert distances(log, result).max() < 0.03
+    assert closure_errors(log, result)[:, 0].max() < 0.05
+
+
 def test_a_run_twice_is_bit_equal_with_closures() -> None:
     first, again = ring_run(1), Run(ring_log(1), "graph").complete()
     assert sum(edge.kind == "closure" for edge in first.edges) >= 5
