@@ -18,10 +18,15 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip what is marked `real` where there are no recorded logs."""
+    if item.get_closest_marker("real") and not data_directory().is_dir():
+        pytest.skip(
+            f"no recorded logs: {data_directory()} is not a folder; set SLAMMOT_DATA to where they are"
+        )
+
+
 @pytest.fixture(scope="session")
 def recorded_data() -> Path:
-    """The folder of the recorded logs; the test is skipped where there is none."""
-    path = data_directory()
-    if not path.is_dir():
-        pytest.skip(f"no recorded logs: {path} is not a folder; set SLAMMOT_DATA to where they are")
-    return path
+    """The folder of the recorded logs."""
+    return data_directory()
