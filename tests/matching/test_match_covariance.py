@@ -378,7 +378,7 @@ def test_innovation_equals_its_twin(seed: int, turn: float, n_directions: int, s
     np.testing.assert_allclose(innovation, expected, rtol=1e-9, atol=1e-9)
     barely = 1e-6 * np.eye(3)
     cov_match, cov_cautious = np.linalg.inv(information + barely), np.linalg.inv(graph_information + barely)
-    np.testing.assert_allclose(cov, cov_match, rtol=1e-5, atol=1e-6 * cov_match.max())
+    np.testing.assert_allclose(cov, cov_match, rtol=1e-3, atol=1e-4 * cov_match.max())
     np.testing.assert_array_equal(cov, covariance_of(information))
     whole = np.linalg.inv(cov_predicted + cov_cautious)
     assert nis == pytest.approx(expected @ whole @ expected, rel=1e-2)
