@@ -232,7 +232,7 @@ def test_beams_closer_than_cells_free_what_each_alone_would(
     beside = [(i + di, j + dj) for i, j in left_out for di, dj in ((0, 1), (0, -1), (1, 0), (-1, 0))]
     if left_out:
         n_seen_beside = (grid.probability(centres(beside, 0.1)) != 0.5).reshape(-1, 4).sum(axis=1)
-        assert np.all(n_seen_beside >= 3)
+        assert np.all(n_seen_beside >= 2)
     if not fill_gaps:
         assert int((grid.log_odds != 0.0).sum()) == len(cells) - len(left_out)
 
