@@ -20,9 +20,9 @@ from slammot_graph.colors import (
     COLOR_ESTIMATE,
     COLOR_MOVING,
     COLOR_STATIC,
-    PICTURE_TRACK_COLORS,
-    picture_track_color,
+    TRACK_COLORS,
     to_hex,
+    track_color,
 )
 from slammot_graph.drawing import (
     MAX_MAP_IN,
@@ -200,7 +200,7 @@ class _Stage:
         """Show the objects of a scan: the way behind each, and its number beside it."""
         trails = self._tracks.trails(row)
         self._trails.set_segments(list(trails.values()))
-        colors = [to_hex(picture_track_color(track_id)) for track_id in trails]
+        colors = [to_hex(track_color(track_id)) for track_id in trails]
         self._trails.set_color(colors)
         self._places.set_offsets(np.array([trail[-1] for trail in trails.values()]).reshape(-1, 2))
         self._places.set_edgecolor(colors)
@@ -225,7 +225,7 @@ class _Stage:
             line_artist(
                 color=to_hex(color), marker="o", markersize=5.0, markerfacecolor="none", linewidth=1.0
             )
-            for color in PICTURE_TRACK_COLORS[:2]
+            for color in TRACK_COLORS[:2]
         ]
         track = Entry(tuple(rings), f"tracked objects, and their ways in the last {TRAIL_SCANS} scans")
         has_map = bool(np.isfinite(self._folder.grid.p_occupied).any())
@@ -274,7 +274,7 @@ class _TracksOfScans:
     def colors(self) -> list[int]:
         """Give the colours of all objects, each once."""
         ids = np.unique(self._tracks[:, 1].astype(np.int64)).tolist()
-        return list(dict.fromkeys(picture_track_color(track_id) for track_id in ids))
+        return list(dict.fromkeys(track_color(track_id) for track_id in ids))
 
 
 # ----------------------------------------------------------------------------------------------------- writers

@@ -9,18 +9,8 @@ COLOR_MOVED = 0xF29B94FF
 """Of the moving points of scans gone by."""
 COLOR_CLOSURE = 0xCC33AAFF
 COLOR_MATCH = 0x56B4E9FF
-COLOR_BEFORE, COLOR_AFTER = 0x8C564BFF, 0x00A5B5FF
+COLOR_BEFORE = 0x8C564BFF
 TRACK_COLORS = (
-    0xD55E00FF,
-    0x7B3FA0FF,
-    0x5C6BC0FF,
-    0xB8860BFF,
-    0xC2185BFF,
-    0x00838FFF,
-    0x5D4037FF,
-    0x33691EFF,
-)
-PICTURE_TRACK_COLORS = (
     0x00A65CFF,
     0x5E2A84FF,
     0x7A4E00FF,
@@ -31,7 +21,7 @@ PICTURE_TRACK_COLORS = (
     0x1F4E44FF,
     0xA8607CFF,
 )
-"""Of tracks in pictures, where they cross trajectory, odometry, closures and moving points: apart from all of these, in
+"""Of tracks, which cross trajectory, odometry, closures and moving points: apart from all of these, in
 simulated red-green blindness too (CIEDE2000 of 11 or more; among each other 7)."""
 RUN_COLORS = (
     0x0072B2FF,
@@ -47,13 +37,8 @@ RUN_COLORS = (
 
 
 def track_color(track_id: int) -> int:
-    """Colour of a track, the same in all scans."""
+    """Colour of a track, the same wherever it is shown."""
     return TRACK_COLORS[track_id % len(TRACK_COLORS)]
-
-
-def picture_track_color(track_id: int) -> int:
-    """Colour of a track in pictures, the same in all of them."""
-    return PICTURE_TRACK_COLORS[track_id % len(PICTURE_TRACK_COLORS)]
 
 
 def to_hex(rgba: int) -> str:

@@ -38,6 +38,19 @@ _BARELY.setflags(write=False)
 
 
 @kernel
+def invert_lower(a: FloatArray, out: FloatArray) -> None:
+    """Fill the lower triangle of `out` with the inverse of that of `a`, both (n, n); the upper ones do not matter."""
+    n = a.shape[0]
+    for j in range(n):
+        out[j, j] = 1.0 / a[j, j]
+        for i in range(j + 1, n):
+            rest = 0.0
+            for m in range(j, i):
+                rest -= a[i, m] * out[m, j]
+            out[i, j] = rest / a[i, i]
+
+
+@kernel
 def invert3(a: FloatArray, out: FloatArray) -> bool:
     """Fill `out` with the inverse of the symmetric matrix `a`, both (3, 3); False where that is not positive definite.
 
@@ -56,13 +69,7 @@ def invert3(a: FloatArray, out: FloatArray) -> bool:
                 root[j, j] = math.sqrt(rest)
             else:
                 return False
-    for j in range(3):
-        back[j, j] = 1.0 / root[j, j]
-        for i in range(j + 1, 3):
-            rest = 0.0
-            for m in range(j, i):
-                rest -= root[i, m] * back[m, j]
-            back[i, j] = rest / root[i, i]
+    invert_lower(root, back)
     for i in range(3):
         for j in range(i + 1):
             out[i, j] = back[i, i] * back[i, j]

@@ -13,8 +13,8 @@ from slammot_graph.colors import (
     COLOR_ESTIMATE,
     COLOR_MOVED,
     COLOR_ODOMETRY,
-    picture_track_color,
     to_hex,
+    track_color,
 )
 from slammot_graph.drawing import (
     MAX_MAP_IN,
@@ -170,7 +170,7 @@ def _draw_tracks(axes: "Axes", result: RunResult) -> None:
 
     tracks = _tracks(result)
     for track_id, xy in tracks.items():
-        color = to_hex(picture_track_color(track_id))
+        color = to_hex(track_color(track_id))
         axes.plot(*xy.T, **TRACK, color=color, zorder=4, label=f"track {track_id}")
         axes.plot(*xy[-1], **LAST_SEEN, color=color, zorder=4)
         if len(tracks) <= MAX_NAMED_TRACKS:
@@ -227,7 +227,7 @@ def _legend(result: RunResult, limits: Limits, *, has_points: bool) -> list[list
 
 
 def _track_entry(ids: list[int]) -> Entry:
-    colors = list(dict.fromkeys(picture_track_color(track_id) for track_id in ids))
+    colors = list(dict.fromkeys(track_color(track_id) for track_id in ids))
     shown = [to_hex(color) for color in colors[:3]]
     lines = [line_artist(**TRACK, color=color) for color in shown]
     what = "1 track of a moving object" if len(ids) == 1 else f"{len(ids):,} tracks of moving objects"

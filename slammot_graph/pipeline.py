@@ -195,7 +195,7 @@ class Pipeline:
         watch.lap("detect")
         matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
         watch.lap("match")
-        if self.config.judge_again and match is not None:
+        if self.config.judge_again and self.config.filter_moving and match is not None:
             first, T_tested = detection, predicted.T_local_base
             detection = self._judge(scan, is_valid, first, T_tested, matched, match, hints)
             factor = self._kernel_factor(detection, is_valid)
@@ -223,7 +223,8 @@ class Pipeline:
         tracks = self._track(scan, detection, points)
         is_doubtful = match is not None and match.status == "failed"
         self._remember(scan, is_valid, detection, matched, is_doubtful)
-        self.afterimage.remember(scan.stamp, matched.T_local_base, points, is_valid)
+        if self.config.filter_moving:
+            self.afterimage.remember(scan.stamp, matched.T_local_base, points, is_valid)
         watch.lap("objects")
         T_map_local = self.localizer.T_map_local
         return StepResult(

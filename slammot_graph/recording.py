@@ -19,11 +19,12 @@ from slammot_graph.colors import (
     COLOR_CLOSURE,
     COLOR_ESTIMATE,
     COLOR_MATCH,
+    COLOR_MOVED,
     COLOR_MOVING,
     COLOR_ODOMETRY,
     COLOR_STATIC,
     COLOR_TRUTH,
-    picture_track_color,
+    track_color,
 )
 from slammot_graph.rerun_parts import (
     MIN_FRAME_M,
@@ -109,7 +110,7 @@ ATTEMPT_COLORS: Mapping[ClosureStatus, int] = {
 STATIC, MOVING, DOUBTFUL = 1, 2, 3
 """Classes of points; doubtful are those called static although they more probably moved."""
 COLOR_DOUBTFUL, COLOR_RECENT = 0xF2A900FF, 0x4A4A4AFF
-COLOR_MOVED, COLOR_POSE_COV = 0xF29B94FF, 0x003A70FF
+COLOR_POSE_COV = 0x003A70FF
 COLOR_CELLS = (0xCFC4E6FF, 0xD5EFD0FF, 0xD0B080FF)
 """Of cells of the test: unknown, free, occupied; light, so that points and ellipses stand out."""
 
@@ -601,7 +602,7 @@ class RerunLog:
         centre = np.array([state.position for state in states]).reshape(-1, 2)
         velocity = np.array([state.velocity for state in states]).reshape(-1, 2)
         cov = np.array([state.position_cov for state in states]).reshape(-1, 2, 2)
-        colors = np.array([picture_track_color(state.track_id) for state in states], dtype=np.uint32)
+        colors = np.array([track_color(state.track_id) for state in states], dtype=np.uint32)
         places = at_height(centre, 0.08)
         before = []
         for of_scan in tracks:

@@ -9,7 +9,7 @@ from PIL import Image
 
 from slammot_graph import Run
 from slammot_graph.animation import _Stage, write_animation
-from slammot_graph.colors import picture_track_color
+from slammot_graph.colors import track_color
 from slammot_graph.results import write_run_folder
 from slammot_graph.run_folder import RunFolder, read_run_folder
 from tests.rooms import ListLog, drive
@@ -92,6 +92,6 @@ def test_a_track_has_the_colour_of_the_overview(folder: RunFolder) -> None:
     assert ids
     row = int(np.searchsorted(folder.stamps, folder.tracks[-1, 0] - 1e-4))
     drawn = stage.draw(row, log().scans[row])
-    color = picture_track_color(int(folder.tracks[-1, 1]))
+    color = track_color(int(folder.tracks[-1, 1]))
     rgb = [color >> shift & 255 for shift in (24, 16, 8)]
     assert (np.abs(drawn.astype(int) - rgb).max(axis=2) < 4).sum() > 5

@@ -10,8 +10,8 @@ from slammot_graph.colors import (
     COLOR_MOVED,
     COLOR_MOVING,
     COLOR_ODOMETRY,
-    PICTURE_TRACK_COLORS,
-    picture_track_color,
+    TRACK_COLORS,
+    track_color,
 )
 from slammot_graph.drawing import (
     FREE,
@@ -123,13 +123,13 @@ def test_tracks_have_colours_apart_from_each_other_and_from_what_they_cross() ->
         0xFFFFFFFF,
         0x19191EFF,
     )
-    colors = np.array([(*PICTURE_TRACK_COLORS, *others)], dtype=np.int64)[0]
+    colors = np.array([(*TRACK_COLORS, *others)], dtype=np.int64)[0]
     rgb = np.column_stack([colors >> shift & 255 for shift in (24, 16, 8)]) / 255.0
     # a simple distance that weighs red less where colours are dark (https://www.compuphase.com/cmetric.htm)
     red = 0.5 * (rgb[:, None, 0] + rgb[None, :, 0])
     square = (rgb[:, None] - rgb[None]) ** 2
     apart = np.sqrt((2.0 + red) * square[..., 0] + 4.0 * square[..., 1] + (3.0 - red) * square[..., 2])
     np.fill_diagonal(apart, np.inf)
-    assert apart[: len(PICTURE_TRACK_COLORS)].min() > 0.3
-    assert len({picture_track_color(track_id) for track_id in range(9)}) == 9
-    assert picture_track_color(0) == picture_track_color(len(PICTURE_TRACK_COLORS))
+    assert apart[: len(TRACK_COLORS)].min() > 0.3
+    assert len({track_color(track_id) for track_id in range(9)}) == 9
+    assert track_color(0) == track_color(len(TRACK_COLORS))

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 
 from slammot_graph import Run
-from slammot_graph.colors import COLOR_MOVED, picture_track_color, to_hex
+from slammot_graph.colors import COLOR_MOVED, to_hex, track_color
 from slammot_graph.overview import compose_overview, draw_overview
 from slammot_graph.result_types import GraphEdge, GridMap, RunResult
 from tests.rooms import drive
@@ -221,7 +221,7 @@ def test_a_track_ends_where_its_object_was_last_seen() -> None:
     assert len(once) == 1
     numbers = [text for text in figure.axes[0].texts if text.get_text() == "3"]
     assert [text.xy for text in numbers] == [(3.0, 0.0)]
-    assert same_color(numbers[0].get_color(), to_hex(picture_track_color(3)))
+    assert same_color(numbers[0].get_color(), to_hex(track_color(3)))
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import numpy as np
 from slammot_graph import se2
 from slammot_graph.errors import InputError
 from slammot_graph.evaluation.stats import ErrorStats, summarize
-from slammot_graph.evaluation.trajectories import error_sizes, read_number_rows
-from slammot_graph.types import FloatArray, IntArray
+from slammot_graph.evaluation.trajectories import error_sizes, nearest_stamps, read_number_rows
+from slammot_graph.types import FloatArray
 
 STAMP_TOLERANCE_S = 1e-5
 """A relation's time belongs to a pose if their stamps differ by no more than this [s]."""
@@ -104,8 +104,8 @@ def evaluate_relations(
     chosen = np.ones(len(relations.stamps_from), dtype=np.bool_)
     if max_duration_s is not None:
         chosen = np.abs(relations.stamps_to - relations.stamps_from) <= max_duration_s
-    i = _nearest(stamps, relations.stamps_from[chosen])
-    j = _nearest(stamps, relations.stamps_to[chosen])
+    i = nearest_stamps(stamps, relations.stamps_from[chosen], STAMP_TOLERANCE_S)
+    j = nearest_stamps(stamps, relations.stamps_to[chosen], STAMP_TOLERANCE_S)
     is_matched = (i >= 0) & (j >= 0)
     T_from_to = relations.T_from_to[chosen][is_matched]
     estimated = se2.between(T_map_base[i[is_matched]], T_map_base[j[is_matched]])
@@ -116,17 +116,3 @@ def evaluate_relations(
         n_relations=int(chosen.sum()),
         n_unmatched=int((~is_matched).sum()),
     )
-
-
-def _nearest(stamps: FloatArray, wanted: FloatArray) -> IntArray:
-    """Index of the pose at each wanted time, -1 where none lies within the tolerance."""
-    if len(stamps) == 0:
-        return np.full(len(wanted), -1, dtype=np.int64)
-    order = np.argsort(stamps, kind="stable")
-    ordered = stamps[order]
-    right = np.searchsorted(ordered, wanted).clip(0, len(stamps) - 1)
-    left_stamps = ordered[(right - 1).clip(0)]
-    left = np.searchsorted(ordered, left_stamps)
-    nearest = np.where(np.abs(ordered[right] - wanted) <= np.abs(left_stamps - wanted), right, left)
-    is_near = np.abs(ordered[nearest] - wanted) <= STAMP_TOLERANCE_S
-    return np.where(is_near, order[nearest], -1)

@@ -170,16 +170,23 @@ def associate(
     i, j : (k,) int arrays
         Pose ``i`` has the true pose ``j``; a true pose may belong to several.
     """
-    if len(true_stamps) == 0:
-        nothing = np.zeros(0, dtype=np.int64)
-        return nothing, nothing
-    order = np.argsort(true_stamps, kind="stable")
-    ordered = true_stamps[order]
-    right = np.searchsorted(ordered, stamps).clip(0, len(ordered) - 1)
-    left = (right - 1).clip(0)
-    nearest = np.where(np.abs(ordered[right] - stamps) <= np.abs(ordered[left] - stamps), right, left)
-    i = np.flatnonzero(np.abs(ordered[nearest] - stamps) <= max_difference_s)
-    return i, order[nearest[i]]
+    of = nearest_stamps(true_stamps, stamps, max_difference_s)
+    i = np.flatnonzero(of >= 0)
+    return i, of[i]
+
+
+def nearest_stamps(stamps: FloatArray, wanted: FloatArray, tolerance_s: float) -> IntArray:
+    """Index of the nearest stamp (in any order) for each wanted time, -1 where none lies within the tolerance."""
+    if len(stamps) == 0:
+        return np.full(len(wanted), -1, dtype=np.int64)
+    order = np.argsort(stamps, kind="stable")
+    ordered = stamps[order]
+    right = np.searchsorted(ordered, wanted).clip(0, len(stamps) - 1)
+    left_stamps = ordered[(right - 1).clip(0)]
+    left = np.searchsorted(ordered, left_stamps)
+    nearest = np.where(np.abs(ordered[right] - wanted) <= np.abs(left_stamps - wanted), right, left)
+    is_near = np.abs(ordered[nearest] - wanted) <= tolerance_s
+    return np.where(is_near, order[nearest], -1)
 
 
 def read_trajectory(path: str | Path) -> tuple[FloatArray, FloatArray]:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from slammot_graph._numba import kernel
+from slammot_graph.linalg import invert_lower
 from slammot_graph.types import FloatArray, IntArray
 
 
@@ -78,13 +79,7 @@ def block_covariances(
             else:
                 H[i, j] = rest / H[j, j]
     inverse = np.zeros((size, size))
-    for j in range(size):
-        inverse[j, j] = 1.0 / H[j, j]
-        for i in range(j + 1, size):
-            rest = 0.0
-            for m in range(j, i):
-                rest -= H[i, m] * inverse[m, j]
-            inverse[i, j] = rest / H[i, i]
+    invert_lower(H, inverse)
     for k in range(out.shape[0]):
         for i in range(3):
             for j in range(3):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from slammot_graph._numba import kernel
-from slammot_graph.linalg import BARELY, eigh3, invert3, sandwich3
+from slammot_graph.linalg import BARELY, eigh3, invert3, invert_lower, sandwich3
 from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 LINE_FIRST_M2 = 0.04
@@ -894,13 +894,7 @@ def fuse(
                 root[i, i] = math.sqrt(max(rest, 1e-15 * fused[i, i]))
             else:
                 root[i, j] = rest / root[j, j]
-    for j in range(3):
-        back[j, j] = 1.0 / root[j, j]
-        for i in range(j + 1, 3):
-            rest = 0.0
-            for k in range(j, i):
-                rest -= root[i, k] * back[k, j]
-            back[i, j] = rest / root[i, i]
+    invert_lower(root, back)
     values = np.empty(3)
     vectors = np.empty((3, 3))
     sandwich3(back, cov_map, noise)

@@ -55,6 +55,21 @@ def cluster_beams(
 
 
 @kernel
+def _cluster_boxes(points: FloatArray, labels: IntArray, box: FloatArray) -> None:
+    """Fill `box` (n_clusters, 4) with each cluster's least and largest x, least and largest y."""
+    for c in range(box.shape[0]):
+        box[c, 0] = box[c, 2] = np.inf
+        box[c, 1] = box[c, 3] = -np.inf
+    for k in range(labels.shape[0]):
+        c = labels[k]
+        if c >= 0:
+            box[c, 0] = min(box[c, 0], points[k, 0])
+            box[c, 1] = max(box[c, 1], points[k, 0])
+            box[c, 2] = min(box[c, 2], points[k, 1])
+            box[c, 3] = max(box[c, 3], points[k, 1])
+
+
+@kernel
 def discard_clusters(
     points: FloatArray,
     labels: IntArray,
@@ -67,29 +82,25 @@ def discard_clusters(
     """Mark in `is_kept` (n_clusters,) the clusters with enough points and within MAX X RANGE and MAX Y RANGE."""
     counts = np.zeros(n_clusters, dtype=np.int64)
     box = np.empty((n_clusters, 4))
+    _cluster_boxes(points, labels, box)
     for k in range(labels.shape[0]):
-        c = labels[k]
-        if c < 0:
-            continue
-        x = points[k, 0]
-        y = points[k, 1]
-        if counts[c] == 0:
-            box[c, 0] = x
-            box[c, 1] = x
-            box[c, 2] = y
-            box[c, 3] = y
-        else:
-            box[c, 0] = min(box[c, 0], x)
-            box[c, 1] = max(box[c, 1], x)
-            box[c, 2] = min(box[c, 2], y)
-            box[c, 3] = max(box[c, 3], y)
-        counts[c] += 1
+        if labels[k] >= 0:
+            counts[labels[k]] += 1
     for c in range(n_clusters):
         is_kept[c] = (
             counts[c] >= min_points
             and box[c, 1] - box[c, 0] <= max_x_range
             and box[c, 3] - box[c, 2] <= max_y_range
         )
+
+
+@kernel
+def _number_kept(is_kept: BoolArray, first: int, number: IntArray) -> int:
+    """Number the kept clusters from `first`, -1 for others; returns the next number."""
+    for c in range(is_kept.shape[0]):
+        number[c] = first if is_kept[c] else -1
+        first += 1 if is_kept[c] else 0
+    return first
 
 
 @kernel
@@ -117,12 +128,8 @@ def find_clusters(
     if is_kept.all():
         return n
     is_wide = np.zeros(points.shape[0], dtype=np.bool_)
-    number = np.full(n, -1, dtype=np.int64)
-    n_kept = 0
-    for c in range(n):
-        if is_kept[c]:
-            number[c] = n_kept
-            n_kept += 1
+    number = np.empty(n, dtype=np.int64)
+    n_kept = _number_kept(is_kept, 0, number)
     for k in range(points.shape[0]):
         if labels[k] >= 0:
             is_wide[k] = not is_kept[labels[k]]
@@ -133,11 +140,8 @@ def find_clusters(
     n = cluster_beams(points, is_wide, split_gap, max_skipped_beams, parts)
     is_kept = np.empty(n, dtype=np.bool_)
     discard_clusters(points, parts, n, split_min_points, max_x_range, max_y_range, is_kept)
-    number = np.full(n, -1, dtype=np.int64)
-    for c in range(n):
-        if is_kept[c]:
-            number[c] = n_kept
-            n_kept += 1
+    number = np.empty(n, dtype=np.int64)
+    n_kept = _number_kept(is_kept, n_kept, number)
     for k in range(points.shape[0]):
         if is_wide[k]:
             labels[k] = number[parts[k]]
@@ -302,6 +306,7 @@ def cluster_evidence(
     n_clusters = out.shape[0]
     sums = np.zeros((n_clusters, 6))  # points, ranges, on free cells, log odds, x, y
     box = np.empty((n_clusters, 4))
+    _cluster_boxes(points, cluster, box)
     for k in range(cluster.shape[0]):
         c = cluster[k]
         if c < 0:
@@ -310,13 +315,6 @@ def cluster_evidence(
         y = points[k, 1]
         i = (math.floor(y * inv_resolution) - row0) & (log_odds.shape[0] - 1)
         j = (math.floor(x * inv_resolution) - col0) & (log_odds.shape[1] - 1)
-        if sums[c, 0] == 0.0:
-            box[c, 0] = box[c, 1] = x
-            box[c, 2] = box[c, 3] = y
-        box[c, 0] = min(box[c, 0], x)
-        box[c, 1] = max(box[c, 1], x)
-        box[c, 2] = min(box[c, 2], y)
-        box[c, 3] = max(box[c, 3], y)
         sums[c, 0] += 1.0
         sums[c, 1] += ranges[k]
         sums[c, 2] += 1.0 if reason[k] == FREE else 0.0
