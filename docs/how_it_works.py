@@ -14,19 +14,19 @@ from matplotlib.patches import FancyBboxPatch
 
 STAGES = (
     ("1  predict", "last pose and the odometry; the covariance grows by R_r",
-     ("localization/scan_to_map.py", "graph/odometry_noise.py")),
+     ("localization/scan_to_map.py", "odometry/noise.py")),
     ("2  detect", "an ellipse on free cells only: moving; clusters",
-     ("motion/ellipse.py", "motion/clusters.py", "motion/afterimage.py")),
+     ("detection/ellipse_test.py", "detection/clustering.py", "detection/visibility_check.py")),
     ("3  match", "static points onto lines, robust, from the prediction",
-     ("matching/point_to_line.py", "matching/local_map.py")),
+     ("registration/point_to_line.py", "mapping/local_map.py")),
     ("4  graph", "a node for each keyframe, smoothed by GTSAM's ISAM2",
      ("localization/scan_to_map.py", "graph/pose_graph.py")),
     ("5  map", "static points occupy, all beams free what they cross",
-     ("grid.py",)),
+     ("mapping/occupancy_grid.py",)),
     ("6  objects", "clusters of moving points become tracks",
-     ("motion/tracks.py",)),
+     ("tracking/tracker.py",)),
     ("7  close loops", "runs within 4, whenever a local map is finished",
-     ("closure/closer.py", "closure/submap.py", "closure/joining.py")),
+     ("loop_closure/detector.py", "loop_closure/submap.py", "loop_closure/relocalization.py")),
 )  # fmt: skip
 """Name, what it does, files within the package."""
 
@@ -43,10 +43,10 @@ PASSED = (
 """What goes into each stage from the one above; the last comes out."""
 
 KEPT = (
-    ("occupancy grid", "grid.py"),
-    ("local maps", "matching/local_map.py"),
+    ("occupancy grid", "mapping/occupancy_grid.py"),
+    ("local maps", "mapping/local_map.py"),
     ("pose graph", "graph/pose_graph.py"),
-    ("tracks", "motion/tracks.py"),
+    ("tracks", "tracking/tracker.py"),
 )
 """What outlives a scan."""
 

@@ -18,7 +18,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from slammot_graph.errors import InputError, SlammotError
+from slammot_graph.core.errors import InputError, SlammotError
 
 ROOT = Path(__file__).resolve().parents[1]
 Cell = Mapping[str, Any]

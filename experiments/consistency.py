@@ -7,18 +7,19 @@ import numpy as np
 
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, median_interval, number, write_tables
-from slammot_graph import Run, se2
+from slammot_graph import Run
+from slammot_graph.core import se2
+from slammot_graph.core.linalg import covariance_of
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation.consistency import (
     average_nees,
     errors_to_anchor,
     nees_and_coverage,
     run_consistency,
 )
-from slammot_graph.graph.odometry_noise import ConstantNoise
-from slammot_graph.linalg import covariance_of
-from slammot_graph.matching import PointToLineConfig
+from slammot_graph.odometry.noise import ConstantNoise
+from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.simulation import simulate
-from slammot_graph.types import FloatArray
 
 SCENARIOS = {"lab": None, "office": None, "hall": None, "corridor": 5.0}
 """Scenarios, and scans a second where they differ from the scenario's own."""

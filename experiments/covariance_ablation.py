@@ -12,7 +12,7 @@ from experiments.measures import point_scores
 from experiments.tables import Table, holm, median_interval, p_text, paired_p, write_tables
 from slammot_graph import Run, get_method
 from slammot_graph.evaluation import evaluate_points
-from slammot_graph.graph.odometry_noise import ConstantNoise
+from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.simulation import SimulatedLog, simulate
 

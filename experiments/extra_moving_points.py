@@ -9,8 +9,8 @@ from experiments.common import Options, Scores, main, run_cells
 from experiments.figures import draw_map, panels, save
 from experiments.measures import run_method
 from experiments.tables import Table, write_tables
-from slammot_graph import se2
-from slammot_graph.types import BoolArray, FloatArray, IntArray
+from slammot_graph.core import se2
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 LOGS = ("intel", "aces")
 N_SCANS, QUICK_SCANS, N_PEOPLE = 2500, 200, 6

@@ -21,12 +21,14 @@ from experiments.freiburg import (
     write_report,
 )
 from experiments.tables import Table
-from slammot_graph import open_log, se2
-from slammot_graph.closure import Closure, LoopCloser, Submap
-from slammot_graph.errors import InputError
+from slammot_graph import open_log
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import ClosureAttempt
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import RelationScores, evaluate_relations, read_relations
-from slammot_graph.result_types import ClosureAttempt
-from slammot_graph.types import FloatArray
+from slammot_graph.loop_closure.detector import Closure, LoopCloser
+from slammot_graph.loop_closure.submap import Submap
 
 FIRST_SCANS = 6000
 QUICK_SCANS = 2500
@@ -117,7 +119,7 @@ class Liar:
             taken = {id(c) for c in accepted_by(closer)}
             self.ever_taken |= {k for k, c in enumerate(self.told) if id(c) in taken}
             if accepted:
-                attempts += closer.take_back()
+                attempts += closer.reject_outliers()
             self.ms.append(1e3 * (time.process_time() - start))
             changed |= accepted
         return changed, tuple(attempts)
@@ -252,7 +254,7 @@ def _row(
     turn_change = scores.rotation_deg.mean / base.rotation_deg.mean - 1.0
     closures = closures_of(run.result)
     n_wrong = int(is_wrong(*closure_errors(closures, truth.result.nodes)).sum())
-    n_back = sum("taken back" in text for _, text in run.result.events)
+    n_back = sum("outlier" in text for _, text in run.result.events)
     told = [] if liar is None else liar.told
     n_false_back = 0 if liar is None else len(liar.ever_taken) - liar.n_left(_closer(run))
     return [

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.common import Options, say
-from slammot_graph import se2
-from slammot_graph.result_types import GridMap, StepResult
-from slammot_graph.types import FloatArray
+from slammot_graph.core import se2
+from slammot_graph.core.results import GridMap, StepResult
+from slammot_graph.core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

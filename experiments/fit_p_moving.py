@@ -11,13 +11,14 @@ from experiments.common import Options, Scores, main, run_cells
 from experiments.reliability import LOGS, N_PEOPLE, N_SCANS, QUICK_SCANS, SCENARIOS
 from experiments.tables import Table, number, write_tables
 from slammot_graph import get_method
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
+from slammot_graph.detection import reasons
+from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.detection.probability import NAMES, SHARE_OF_STATIC, WEIGHTS, cluster_evidence
 from slammot_graph.localization import Estimate
-from slammot_graph.motion import Detection, reasons
-from slammot_graph.motion.probability import NAMES, SHARE_OF_STATIC, WEIGHTS, cluster_evidence
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.scan import Scan
 from slammot_graph.simulation import SimulatedLog, simulate
-from slammot_graph.types import FloatArray
 
 FIRST_SEED, FULL_SEEDS = 100, 3
 SHRINK = 1e-3
@@ -35,7 +36,7 @@ class _Watched(Pipeline):
 
     def _probability(self, scan: Scan, detection: Detection, matched: Estimate, hints: Any) -> FloatArray:
         points = scan.points(matched.T_local_base)
-        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, hints.expected)
+        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, hints.predicted_positions)
         self.detection = detection
         return super()._probability(scan, detection, matched, hints)
 

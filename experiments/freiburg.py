@@ -14,14 +14,16 @@ import tyro
 
 from experiments.common import ROOT, Options, code_state, say
 from experiments.tables import Table, provenance
-from slammot_graph import Run, open_log, se2
-from slammot_graph.closure import LoopCloser, Submap
-from slammot_graph.errors import InputError, SlammotError
+from slammot_graph import Run, open_log
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError, SlammotError
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, RunResult
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation import ErrorStats, RelationScores, evaluate_relations, read_relations
 from slammot_graph.logs import LaserLog
+from slammot_graph.loop_closure.detector import LoopCloser
+from slammot_graph.loop_closure.submap import Submap
 from slammot_graph.methods import METHODS, Config
-from slammot_graph.result_types import ClosureAttempt, GraphEdge, RunResult
-from slammot_graph.types import BoolArray, FloatArray
 
 WRONG_M, WRONG_DEG = 0.5, 5.0
 """A closure farther than this from the trajectory, or from the truth, is wrong."""
@@ -308,7 +310,7 @@ ERROR_COLUMNS = (
 CLOSING_COLUMNS = (
     "method",
     "closures in the graph",
-    "taken back",
+    "outlier",
     "refused or waiting",
     "farthest from the trajectory [m]",
     "[degrees]",
@@ -345,7 +347,7 @@ def _closing_row(method: str, run: WatchedRun) -> list[str]:
     return [
         method,
         str(len(closures)),
-        str(count_events(result, "taken back")),
+        str(count_events(result, "outlier")),
         str(n_not),
         largest(distance_m),
         largest(angle_deg, 2),

@@ -13,10 +13,10 @@ from experiments import recorded
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, number, write_tables
 from slammot_graph import open_log
-from slammot_graph.baselines import KissIcpConfig, KissIcpPipeline
+from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
+from slammot_graph.core.scan import Scan
 from slammot_graph.evaluation import evaluate_relations
 from slammot_graph.methods import get_method
-from slammot_graph.scan import Scan
 
 METHODS = {False: "kiss-icp", True: "kiss-icp-odometry"}
 """By `use_odometry`, the start value of each registration."""

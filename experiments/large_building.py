@@ -20,12 +20,12 @@ from experiments.freiburg import (
     write_report,
 )
 from experiments.tables import Table
-from slammot_graph import se2
+from slammot_graph.core import se2
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import absolute_error
-from slammot_graph.matching import NO_NODE
+from slammot_graph.mapping.local_map import NO_NODE
 from slammot_graph.simulation import SimulatedLog, scenarios, simulate
 from slammot_graph.simulation.worlds import World, world_named
-from slammot_graph.types import FloatArray
 
 NEAR_M, APART_M = 2.0, 8.0
 METHODS = ("graph", "graph-noloop", "odometry")

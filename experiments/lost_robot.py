@@ -21,13 +21,14 @@ from experiments.freiburg import (
     write_report,
 )
 from experiments.tables import Table
-from slammot_graph import open_log, se2
-from slammot_graph.errors import InputError
+from slammot_graph import open_log
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import absolute_error, evaluate_relations, read_relations
 from slammot_graph.logs import LaserLog, SkippedScan
-from slammot_graph.scan import Scan
 from slammot_graph.simulation import SimulatedLog, simulate
-from slammot_graph.types import FloatArray
 
 JUMP_M = 2.0
 CARRIED_M = 5.0
@@ -112,9 +113,9 @@ class Carried:
 
 
 def carry_away(log: SimulatedLog, at: int, covered_m: float) -> Carried:
-    """Cut out the piece after scan `at` in which the robot gets `CARRIED_M` away, and cover the laser meanwhile.
+    """Cut out the component after scan `at` in which the robot gets `CARRIED_M` away, and cover the laser meanwhile.
 
-    The wheels do not turn: odometry goes on where it was. Odometry turns of the piece left out are left out too.
+    The wheels do not turn: odometry goes on where it was. Odometry turns of the component left out are left out too.
     """
     away_m = np.hypot(*(log.T_world_base[at:, :2] - log.T_world_base[at, :2]).T)
     beyond = np.flatnonzero(away_m >= CARRIED_M)
@@ -157,7 +158,7 @@ def experiment(options: LoopOptions) -> None:
     ]
     intro = (
         f"Jump: from some scan on the odometry lies {JUMP_M:g} m aside. Errors: mean over the relations of a recorded"
-        " log, ATE rmse of a simulated one after planar alignment. Carried: a piece of the log in which the robot"
+        " log, ATE rmse of a simulated one after planar alignment. Carried: a component of the log in which the robot"
         f" gets {CARRIED_M:g} m away is cut out; in its place are {N_COVERED} scans with a covered laser and standing"
         " odometry. old-new: closures between nodes before and after; wrong: more than 0.5 m or"
         " 5 degrees from the truth. `at the end`: error of the last pose with the"

@@ -5,7 +5,10 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.common import Scores
-from slammot_graph import Run, se2
+from slammot_graph import Run
+from slammot_graph.core import se2
+from slammot_graph.core.results import GridMap, RunResult
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation import (
     TrackPoints,
     absolute_error,
@@ -13,10 +16,8 @@ from slammot_graph.evaluation import (
     evaluate_points,
     evaluate_tracks,
 )
-from slammot_graph.grid import GridConfig, OccupancyGrid
-from slammot_graph.result_types import GridMap, RunResult
+from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.simulation import Scenario, SimulatedLog, simulate
-from slammot_graph.types import BoolArray, FloatArray
 
 RPE_DELTA_M = 1.0
 

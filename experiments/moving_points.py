@@ -8,6 +8,7 @@ import numpy as np
 from experiments import measures, recorded
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, holm, median_interval, number, p_text, paired_p, write_tables
+from slammot_graph.core.types import BoolArray
 from slammot_graph.evaluation import (
     beam_speeds,
     distance_to_wall,
@@ -17,7 +18,6 @@ from slammot_graph.evaluation import (
     strata,
 )
 from slammot_graph.simulation import SimulatedLog
-from slammot_graph.types import BoolArray
 
 METHODS = ("docpfo", "graph-fixed", "graph-absolute", "graph")
 STEPS_OF_LADDER = (("graph", "graph-fixed"), ("graph-fixed", "docpfo"), ("graph", "graph-absolute"))
@@ -120,7 +120,7 @@ def experiment(options: Options) -> None:
         f"The first {n_scans} scans of each log with {N_PEOPLE} people, {len(seeds)} paired seeds: median [95%"
         f" bootstrap interval]; people take {share:.1%} of the beams. A beam moves if it hit a person, also one who"
         " stands. The logs as recorded hold people of their own, whom nobody labelled: returns within"
-        f" {recorded.NEAR_M:g} m of whoever walked {recorded.MIN_WAY_M:g} m in the run over the log as recorded are"
+        f" {recorded.NEAR_M:g} m of whoever displaced {recorded.MIN_WAY_M:g} m in the run over the log as recorded are"
         f" set aside for all methods ({aside})."
         " p: paired Wilcoxon, two-sided, Holm's correction within a log."
     ]

@@ -7,11 +7,12 @@ import numpy as np
 from experiments import figures, measures
 from experiments.common import Options, Scores, run_cells
 from experiments.tables import Table, median_interval, write_tables
-from slammot_graph import Run, se2
+from slammot_graph import Run
+from slammot_graph.core import se2
+from slammot_graph.core.results import RunResult, StepResult
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import absolute_error
-from slammot_graph.result_types import RunResult, StepResult
 from slammot_graph.simulation import SimulatedLog
-from slammot_graph.types import FloatArray
 
 METHODS = ("icp", "docpfo", "graph")
 FULL_SEEDS = 20

@@ -14,14 +14,15 @@ import numpy as np
 from experiments.common import Options, Scores, main, run_cells
 from experiments.freiburg import WRONG_DEG, WRONG_M
 from experiments.tables import Table, number, write_tables
-from slammot_graph import Run, open_log, se2
-from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
-from slammot_graph.closure.submap import PreparedSubmap
-from slammot_graph.errors import InputError
+from slammot_graph import Run, open_log
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.logs import LaserLog
+from slammot_graph.loop_closure.detector import LoopCloser, LoopClosureConfig
+from slammot_graph.loop_closure.submap import PreparedSubmap, Submap
 from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.simulation import simulate
-from slammot_graph.types import FloatArray
 
 SIMULATED, QUICK_LOG, RECORDED = ("building", "office"), "lab", "intel"
 N_SCANS = 6000
@@ -281,7 +282,7 @@ def cell(
     """Ask both ways about the pairs of one log."""
     package = map_closures()
     places = collect(log, path, n_scans)
-    submaps = [replace(submap, piece=0) for submap in places.closer.submaps]
+    submaps = [replace(submap, component=0) for submap in places.closer.submaps]
     closer = places.closer
     probe = Probe(closer.config, closer._field.config, closer.graph)
     rng = np.random.default_rng(0)

@@ -8,10 +8,10 @@ import numpy as np
 
 from experiments.common import Options, code_state, say
 from slammot_graph import Run, open_log
+from slammot_graph.core.results import GridMap
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation import Relations, read_relations
-from slammot_graph.result_types import GridMap
 from slammot_graph.simulation import SimulatedLog, inject, inject_along
-from slammot_graph.types import BoolArray, FloatArray
 
 MIN_WAY_M = 2.0
 """Who got this far from where he was first seen is a person."""
@@ -26,7 +26,7 @@ BACKWARD_S = 1.0
 class Reference:
     """What a `graph` run over the log as recorded says.
 
-    `people` (k, 3): scan and place [m] of objects that walked `MIN_WAY_M`, who are in the log though nobody
+    `people` (k, 3): scan and place [m] of objects that displaced `MIN_WAY_M`, who are in the log though nobody
     labelled them.
     """
 
@@ -83,8 +83,8 @@ def _who_walked(tracks: FloatArray) -> FloatArray:
     found = []
     for number in np.unique(tracks[:, 1]):
         track = tracks[tracks[:, 1] == number]
-        way_m = np.hypot(*(track[:, 2:4] - track[0, 2:4]).T).max()
-        if way_m < MIN_WAY_M:
+        distance_m = np.hypot(*(track[:, 2:4] - track[0, 2:4]).T).max()
+        if distance_m < MIN_WAY_M:
             continue
         first = int(track[0, 9])
         n = max(1, int(len(track) * BACKWARD_S / max(track[-1, 0] - track[0, 0], BACKWARD_S)))

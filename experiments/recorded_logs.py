@@ -13,9 +13,10 @@ import numpy as np
 import tyro
 from rosbags.highlevel import AnyReader
 
-from slammot_graph import Run, open_log, se2
+from slammot_graph import Run, open_log
+from slammot_graph.core import se2
+from slammot_graph.core.results import RunResult
 from slammot_graph.evaluation import evaluate_relations, read_relations
-from slammot_graph.result_types import RunResult
 
 TABLE = Path(__file__).parent / "tables" / "recorded_logs.md"
 METHODS = ("graph", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")

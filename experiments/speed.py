@@ -24,13 +24,15 @@ import tyro
 
 from experiments.common import ROOT, Options, say
 from experiments.tables import Table, number, write_tables
-from slammot_graph import grid, open_log
-from slammot_graph.errors import InputError, SlammotError
-from slammot_graph.matching import point_to_line
+from slammot_graph import open_log
+from slammot_graph.core.errors import InputError, SlammotError
+from slammot_graph.core.scan import Scan
+from slammot_graph.detection import ellipse_test as ellipse
+from slammot_graph.mapping import _local_map_kernels
+from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
-from slammot_graph.motion import ellipse
+from slammot_graph.registration import _covariance_kernels, _solve_kernels
 from slammot_graph.run import make_pipeline
-from slammot_graph.scan import Scan
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
 from slammot_graph.simulation.robot import simulate_odometry
 
@@ -52,15 +54,9 @@ BASELINE = ROOT / "experiments" / "baselines" / "speed.json"
 KERNELS = {
     ellipse._kernels: ("test_beams", "seen_through"),
     ellipse._cluster_kernels: ("group_moving",),
-    point_to_line._kernels: (
-        "match_point_to_line",
-        "residual_scatter",
-        "judge_match",
-        "innovate",
-        "fuse",
-        "estimate_normals",
-        "insert_points",
-    ),
+    _solve_kernels: ("match_point_to_line",),
+    _covariance_kernels: ("residual_scatter", "match_covariance", "innovate", "fuse"),
+    _local_map_kernels: ("estimate_normals", "insert_points"),
     grid: ("update_beams",),
 }
 """Kernels of the step, by the module that looks them up."""

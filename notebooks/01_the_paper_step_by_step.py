@@ -25,11 +25,13 @@ from itertools import pairwise
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slammot_graph import get_method, se2
+from slammot_graph import get_method
+from slammot_graph.core import se2
+from slammot_graph.detection.ellipse_test import detect_moving, end_point_covariances
+from slammot_graph.detection.reasons import REASONS
 from slammot_graph.evaluation import evaluate_points, pose_errors, relative_error
-from slammot_graph.grid import OccupancyGrid
-from slammot_graph.matching import match_scans
-from slammot_graph.motion import REASONS, detect_moving, end_point_covariances
+from slammot_graph.mapping.occupancy_grid import OccupancyGrid
+from slammot_graph.registration.point_to_point import match_scans
 from slammot_graph.simulation import simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder

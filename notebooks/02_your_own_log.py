@@ -25,7 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from slammot_graph import Run, open_log
-from slammot_graph.results import read_points, read_trajectory, write_run_folder
+from slammot_graph.run_folder.writer import read_points, read_trajectory, write_run_folder
 from slammot_graph.simulation import simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from slammot_graph.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 
 if TYPE_CHECKING:
     from slammot_graph.logs import open_log

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, replace
 
-from slammot_graph.baselines import KissIcpConfig
-from slammot_graph.errors import ConfigError
-from slammot_graph.grid import GridConfig
-from slammot_graph.motion import AfterimageConfig, ClusterConfig, MotionConfig
+from slammot_graph.baselines.kiss_icp import KissIcpConfig
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.detection.clustering import ClusterConfig
+from slammot_graph.detection.ellipse_test import EllipseTestConfig
+from slammot_graph.detection.visibility_check import VisibilityCheckConfig
+from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.pipeline import PipelineConfig
 
 Config = PipelineConfig | KissIcpConfig
@@ -24,12 +26,12 @@ _GRAPH = PipelineConfig()
 _ICP = PipelineConfig(
     matcher="scan-to-scan",
     filter_moving=False,
-    judge_again=False,
+    retest_after_match=False,
     hindsight=False,
     occupy_with_moving=True,
-    motion=MotionConfig(margin_cells=0, track_reach_m=0.0),
+    motion=EllipseTestConfig(margin_cells=0, track_reach_m=0.0),
     clusters=ClusterConfig(split_gap_m=0.0),
-    afterimage=AfterimageConfig(reach_m=0.0),
+    visibility_check=VisibilityCheckConfig(reach_m=0.0),
     grid=GridConfig(fill_gaps=False),
 )
 _DOCPFO = replace(_ICP, filter_moving=True, test_covariance="constant")

@@ -8,12 +8,19 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.closure import LoopClosureConfig
-from slammot_graph.errors import ConfigError
-from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResult, TrackState
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.stopwatch import Stopwatch
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.detection.backward_pass import retrospective_labels
+from slammot_graph.detection.clustering import ClusterConfig
+from slammot_graph.detection.ellipse_test import Detection, EllipseTestConfig, detect_moving
+from slammot_graph.detection.probability import probability_of_moving
+from slammot_graph.detection.scan_history import ScanHistory
+from slammot_graph.detection.visibility_check import VisibilityCheck, VisibilityCheckConfig
 from slammot_graph.graph.pose_graph import PoseGraphConfig
-from slammot_graph.grid import GridConfig, OccupancyGrid
 from slammot_graph.localization import (
     DeadReckoning,
     Estimate,
@@ -22,24 +29,13 @@ from slammot_graph.localization import (
     ScanToMap,
     ScanToScan,
 )
-from slammot_graph.matching import LocalMapConfig, PointToLineConfig, PointToPointConfig
-from slammot_graph.motion import (
-    Afterimage,
-    AfterimageConfig,
-    ClusterConfig,
-    Detection,
-    MotionConfig,
-    TrackConfig,
-    Tracker,
-    detect_moving,
-    probability_of_moving,
-)
-from slammot_graph.motion.hindsight import judge_in_hindsight
-from slammot_graph.motion.judgements import Judgements
-from slammot_graph.result_types import GraphEdge, GridMap, MatchResult, StepResult, TrackState
-from slammot_graph.scan import Scan
-from slammot_graph.stopwatch import Stopwatch
-from slammot_graph.types import BoolArray, FloatArray
+from slammot_graph.loop_closure.detector import LoopClosureConfig
+from slammot_graph.mapping.local_map import LocalMapConfig
+from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.registration.point_to_line import PointToLineConfig
+from slammot_graph.registration.point_to_point import PointToPointConfig
+from slammot_graph.tracking.tracker import Tracker, TrackerConfig
 
 LEAST_KERNEL_FACTOR = 0.4
 """In a crowd the match's kernel gets narrower, down to this share of its scale."""
@@ -66,7 +62,7 @@ class PipelineConfig:
     test_covariance : "constant", "relative" or "absolute"
         Pose covariance in the test: the paper's R_r, the graph's marginal relative to the local map's anchor,
         or its absolute marginal.
-    judge_again : bool
+    retest_after_match : bool
         Repeat the test at the matched pose before the map is updated.
     crowd_share : float
         Where more than this share of a scan moves, it is matched once more with a narrower kernel, without
@@ -93,14 +89,14 @@ class PipelineConfig:
         Of the map, and of the test where there is no local map.
     local_grid : GridConfig
         Of the test ("scan-to-map" only).
-    motion, clusters, tracks, afterimage, local_map, point_to_line, point_to_point, graph, closure
+    motion, clusters, tracks, visibility_check, local_map, point_to_line, point_to_point, graph, closure
         Configuration of the stages.
     """
 
     matcher: Matcher = "scan-to-map"
     filter_moving: bool = True
     test_covariance: TestCovariance = "relative"
-    judge_again: bool = True
+    retest_after_match: bool = True
     crowd_share: float = 0.15
     hindsight: bool = True
     occupy_with_moving: bool = False
@@ -114,10 +110,10 @@ class PipelineConfig:
     local_grid: GridConfig = field(
         default_factory=lambda: GridConfig(resolution_m=0.1, p_hit=0.75, p_free=0.12)
     )
-    motion: MotionConfig = field(default_factory=MotionConfig)
+    motion: EllipseTestConfig = field(default_factory=EllipseTestConfig)
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
-    tracks: TrackConfig = field(default_factory=TrackConfig)
-    afterimage: AfterimageConfig = field(default_factory=AfterimageConfig)
+    tracks: TrackerConfig = field(default_factory=TrackerConfig)
+    visibility_check: VisibilityCheckConfig = field(default_factory=VisibilityCheckConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
     point_to_point: PointToPointConfig = field(default_factory=PointToPointConfig)
@@ -147,8 +143,8 @@ class PipelineConfig:
 class _Hints:
     """What the scans before tell the test: places (k, 2) of tracked objects and of what is empty now, local frame."""
 
-    expected: FloatArray
-    emptied: FloatArray
+    predicted_positions: FloatArray
+    vacated: FloatArray
 
 
 class Pipeline:
@@ -175,9 +171,9 @@ class Pipeline:
         self.grid = OccupancyGrid(grid, window_m=window_m)
         self._node_scans = array("q")
         self._in_window = deque[int](maxlen=config.n_window_keyframes)
-        self.afterimage = Afterimage(config.afterimage)
-        self._looks_back = config.hindsight and config.filter_moving
-        self._judged = Judgements()
+        self.visibility_check = VisibilityCheck(config.visibility_check)
+        self._has_backward_pass = config.hindsight and config.filter_moving
+        self._history = ScanHistory()
         self._n_times_lost = 0
         self._first_remembered = 0
         self._stopwatch = Stopwatch()
@@ -195,7 +191,7 @@ class Pipeline:
         watch.lap("detect")
         matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
         watch.lap("match")
-        if self.config.judge_again and self.config.filter_moving and match is not None:
+        if self.config.retest_after_match and self.config.filter_moving and match is not None:
             first, T_tested = detection, predicted.T_local_base
             detection = self._judge(scan, is_valid, first, T_tested, matched, match, hints)
             factor = self._kernel_factor(detection, is_valid)
@@ -206,7 +202,7 @@ class Pipeline:
                 watch.lap("match")
                 detection = self._judge(scan, is_valid, detection, T_tested, matched, match, hints)
         points = scan.points(matched.T_local_base)
-        p_moving = probability_of_moving(detection, points, scan.ranges, self.grid, hints.expected)
+        p_moving = probability_of_moving(detection, points, scan.ranges, self.grid, hints.predicted_positions)
         is_static = is_valid & ~detection.is_moving
         watch.lap("detect")
         node, is_keyframe, events = self.localizer.commit(scan, points_base, is_static)
@@ -214,7 +210,7 @@ class Pipeline:
             self._forget(scan)
         watch.lap("graph")
         if node is not None:
-            self._node_scans.append(len(self._judged))
+            self._node_scans.append(len(self._history))
         if is_keyframe:
             self._in_window.append(scan.index)
             self.grid.oldest = max(self._in_window[0], self._first_remembered)
@@ -224,7 +220,7 @@ class Pipeline:
         is_doubtful = match is not None and match.status == "failed"
         self._remember(scan, is_valid, detection, matched, is_doubtful)
         if self.config.filter_moving:
-            self.afterimage.remember(scan.stamp, matched.T_local_base, points, is_valid)
+            self.visibility_check.remember(scan.stamp, matched.T_local_base, points, is_valid)
         watch.lap("objects")
         T_map_local = self.localizer.T_map_local
         return StepResult(
@@ -253,10 +249,10 @@ class Pipeline:
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
         """Judge every scan again at its optimised pose (n, 3); None for a method that does not look back."""
-        if not self._looks_back:
+        if not self._has_backward_pass:
             return None
-        return judge_in_hindsight(
-            self._judged,
+        return retrospective_labels(
+            self._history,
             T_map_base,
             grid=self.grid.config,
             window_m=2.0 * self.config.max_range_m + 20.0,
@@ -268,7 +264,7 @@ class Pipeline:
     def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
         """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""
         found = [
-            self._judged[k].scan.points(T_map_base[k])[is_moving]
+            self._history[k].scan.points(T_map_base[k])[is_moving]
             for k, is_moving in enumerate(labels)
             if is_moving.any()
         ]
@@ -288,9 +284,9 @@ class Pipeline:
             return self.grid.to_map()
         grid = OccupancyGrid(self.config.grid)
         for number, T_map_base in zip(self._node_scans, self.nodes_and_edges()[0], strict=False):
-            if number == len(self._judged):  # the scan at which a run was cut short
+            if number == len(self._history):  # the scan at which a run was cut short
                 break
-            seen = self._judged[number]
+            seen = self._history[number]
             origin = se2.transform(T_map_base, seen.scan.laser.origin_base[None])[0]
             is_static = seen.is_valid & ~seen.is_moving
             is_hit = seen.is_valid if self.config.occupy_with_moving else is_static
@@ -311,7 +307,7 @@ class Pipeline:
     def close(self) -> None:
         """Release the pose graph's thread and the temporary file of the scans."""
         self.localizer.close()
-        self._judged.close()
+        self._history.close()
 
     def _test_covariance(self, estimate: Estimate) -> FloatArray:
         """Pose covariance that the moving-point test uses."""
@@ -342,22 +338,22 @@ class Pipeline:
         so does one that moves no point by more than `SAME_CELLS` of a cell.
         """
         if match is not None and match.status == "failed":
-            return detection if match.is_refused else detection.stand_back()
-        if match is not None and match.nis > self.config.motion.stand_back_nis:
-            return detection.stand_back()
-        way_m, turn_rad = se2.distance(T_tested, matched.T_local_base)
-        if way_m + turn_rad * self.config.max_range_m < SAME_CELLS * self.grid.config.resolution_m:
+            return detection if match.is_refused else detection.abstain()
+        if match is not None and match.nis > self.config.motion.abstain_nis:
+            return detection.abstain()
+        distance_m, turn_rad = se2.distance(T_tested, matched.T_local_base)
+        if distance_m + turn_rad * self.config.max_range_m < SAME_CELLS * self.grid.config.resolution_m:
             return detection
-        emptied = self.afterimage.emptied(scan, matched.T_local_base, is_valid)
-        return self._detect(scan, is_valid, matched, replace(hints, emptied=emptied))
+        vacated = self.visibility_check.vacated(scan, matched.T_local_base, is_valid)
+        return self._detect(scan, is_valid, matched, replace(hints, vacated=vacated))
 
     def _hints(self, scan: Scan, is_valid: BoolArray, predicted: Estimate) -> _Hints:
         """What the scans before tell about this one, where it is predicted."""
         if not self.config.filter_moving:
-            return _Hints(expected=_NOWHERE, emptied=_NOWHERE)
+            return _Hints(predicted_positions=_NOWHERE, vacated=_NOWHERE)
         return _Hints(
-            expected=self.tracker.expected(scan.stamp),
-            emptied=self.afterimage.emptied(scan, predicted.T_local_base, is_valid),
+            predicted_positions=self.tracker.predicted_positions(scan.stamp),
+            vacated=self.visibility_check.vacated(scan, predicted.T_local_base, is_valid),
         )
 
     def _detect(self, scan: Scan, is_valid: BoolArray, estimate: Estimate, hints: _Hints) -> Detection:
@@ -371,23 +367,23 @@ class Pipeline:
             self.grid,
             self.config.motion,
             self.config.clusters,
-            hints.expected,
-            hints.emptied,
-            self.config.afterimage.reach_m,
+            hints.predicted_positions,
+            hints.vacated,
+            self.config.visibility_check.reach_m,
         )
 
     def _remember(
         self, scan: Scan, is_valid: BoolArray, detection: Detection, matched: Estimate, is_doubtful: bool
     ) -> None:
         """Keep what the final labels and the map of the nodes' scans need."""
-        if not (self._looks_back or self.grid.is_rolling):
+        if not (self._has_backward_pass or self.grid.is_rolling):
             return
-        self._judged.append(
+        self._history.append(
             scan,
             is_valid=is_valid,
             is_moving=detection.is_moving,
             reason=detection.reason,
-            walked=[track.beams for track in self.tracker.walked()],
+            displaced=[track.beams for track in self.tracker.displaced()],
             cov_relative=self._test_covariance(matched),
             window=self.grid.oldest,
             is_doubtful=is_doubtful,
@@ -397,7 +393,7 @@ class Pipeline:
         """The robot is lost: what the test remembers lies elsewhere."""
         self._n_times_lost = self.localizer.n_times_lost
         self._first_remembered = scan.index
-        self.afterimage = Afterimage(self.config.afterimage)
+        self.visibility_check = VisibilityCheck(self.config.visibility_check)
 
     def _update_map(
         self,

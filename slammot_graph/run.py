@@ -7,16 +7,16 @@ from itertools import islice
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.baselines import KissIcpConfig, KissIcpPipeline
-from slammot_graph.config import to_plain
-from slammot_graph.errors import ConfigError, InputError, SlammotError
+from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
+from slammot_graph.core import se2
+from slammot_graph.core.config import to_plain
+from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.results import RunResult, StepResult
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs import LaserLog
 from slammot_graph.methods import Config, get_method
 from slammot_graph.pipeline import Pipeline
-from slammot_graph.result_types import RunResult, StepResult
-from slammot_graph.types import BoolArray, FloatArray
 
 
 def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.logs.log import SkippedScan
-from slammot_graph.scan import LaserModel, Scan, ScanTruth
-from slammot_graph.types import FloatArray, IntArray
+from slammot_graph.core import se2
+from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
+from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.logs.source import SkippedScan
 
 LASER = LaserModel(
     angle_min=-np.deg2rad(135.0),

@@ -3,8 +3,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from slammot_graph.baselines import KissIcpConfig
-from slammot_graph.errors import ConfigError
+from slammot_graph.baselines.kiss_icp import KissIcpConfig
+from slammot_graph.core.errors import ConfigError
 from slammot_graph.methods import METHODS, get_method
 from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.run import Run

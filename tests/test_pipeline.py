@@ -4,14 +4,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.results import StepResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.detection import reasons
+from slammot_graph.detection.ellipse_test import Detection, detect_moving
 from slammot_graph.methods import METHODS
-from slammot_graph.motion import Detection, detect_moving, reasons
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.result_types import StepResult
-from slammot_graph.scan import Scan
-from slammot_graph.types import BoolArray, FloatArray
 from tests.rooms import LASER, ROOM, ListLog, carried, cast, covered, drive, errors, truth_from_start
 
 GRAPH = PipelineConfig()

@@ -6,13 +6,16 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from slammot_graph import Run, se2
-from slammot_graph.errors import ConfigError
-from slammot_graph.motion import MotionConfig, TrackConfig, reasons
+from slammot_graph import Run
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.results import StepResult
+from slammot_graph.core.types import FloatArray
+from slammot_graph.detection import reasons
+from slammot_graph.detection.ellipse_test import EllipseTestConfig
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.result_types import StepResult
 from slammot_graph.simulation import simulate
-from slammot_graph.types import FloatArray
+from slammot_graph.tracking.tracker import TrackerConfig
 from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
 
 # a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
@@ -57,7 +60,7 @@ WALK = np.column_stack([WALK_X, np.full(len(WALK_X), 2.0)])[:, None]
 def test_who_walks_into_the_unknown_stays_moving() -> None:
     """As long as the track lives without a free cell to prove it."""
     for seconds, last_x in ((1.0, 0.9), (3.0, 2.4)):
-        steps = watch(WALK, replace(QUIET, tracks=TrackConfig(max_missed_s=seconds)))
+        steps = watch(WALK, replace(QUIET, tracks=TrackerConfig(max_missed_s=seconds)))
         assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
         assert recall(steps, 0, WALK_X, 0.4, last_x) > 0.9
     told = np.concatenate([step.reason[step.is_moving] for step in steps[-20:]])
@@ -65,7 +68,7 @@ def test_who_walks_into_the_unknown_stays_moving() -> None:
 
 
 def test_without_a_reach_nobody_moves_in_the_unknown() -> None:
-    steps = watch(WALK, replace(QUIET, motion=MotionConfig(track_reach_m=0.0)))
+    steps = watch(WALK, replace(QUIET, motion=EllipseTestConfig(track_reach_m=0.0)))
     assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
     assert recall(steps, 0, WALK_X, 0.4, 0.9) < 0.4
 
@@ -79,7 +82,7 @@ def test_who_never_walked_does_not_move() -> None:
 
 
 def test_open_space_that_returned_nothing_counts_as_free() -> None:
-    steps = watch(WALK, replace(QUIET, free_no_return_m=5.0, motion=MotionConfig(track_reach_m=0.0)))
+    steps = watch(WALK, replace(QUIET, free_no_return_m=5.0, motion=EllipseTestConfig(track_reach_m=0.0)))
     assert recall(steps, 0, WALK_X, 0.6, 2.4) > 0.9
 
 
@@ -93,7 +96,7 @@ def test_a_doubtful_pose_calls_nothing_moving() -> None:
     ]
     found = {}
     for nis in (15.0, 1e9):
-        config = replace(PipelineConfig(), motion=MotionConfig(stand_back_nis=nis))
+        config = replace(PipelineConfig(), motion=EllipseTestConfig(abstain_nis=nis))
         pipeline = Pipeline(config)
         found[nis] = [pipeline.step(scan) for scan in log]
         assert max(errors(truth_from_start(log), pipeline.final().T_map_base)) < 0.03

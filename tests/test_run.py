@@ -4,17 +4,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.baselines import KissIcpPipeline
-from slammot_graph.config import to_plain
-from slammot_graph.errors import ConfigError, InputError, SlammotError
+from slammot_graph.baselines.kiss_icp import KissIcpPipeline
+from slammot_graph.core import se2
+from slammot_graph.core.config import to_plain
+from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
-from slammot_graph.logs.log import SkippedScan
-from slammot_graph.matching import PointToLineConfig
+from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
+from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.run import Run, make_pipeline
-from slammot_graph.types import FloatArray
 from tests.rooms import LASER, ListLog, carried, covered, drive, errors, truth_from_start
 
 

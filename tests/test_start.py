@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import slammot_graph
-from slammot_graph._numba import is_compiled
-from slammot_graph.se2 import transform_points
+from slammot_graph.core._numba import is_compiled
+from slammot_graph.core.se2 import transform_points
 
 PACKAGE = Path(slammot_graph.__file__).parent
 
@@ -45,8 +45,8 @@ def test_what_is_asked_for_is_imported() -> None:
 
 USE_A_KERNEL = """
 import numpy as np
-from slammot_graph import se2
-from slammot_graph._numba import is_compiled
+from slammot_graph.core import se2
+from slammot_graph.core._numba import is_compiled
 moved = se2.transform(np.array([1.0, 2.0, 0.0]), np.ones((1, 2)))
 print(se2.__file__, moved.tolist(), is_compiled(se2.transform_points))
 """
@@ -55,10 +55,17 @@ print(se2.__file__, moved.tolist(), is_compiled(se2.transform_points))
 def copy_without_a_cache(folder: Path) -> Path:
     """Copy what the transforms need; a file where `__pycache__` should be keeps root from writing there too."""
     copy = folder / "slammot_graph"
-    copy.mkdir()
-    for name in ("__init__.py", "_numba.py", "errors.py", "se2.py", "types.py"):
+    (copy / "core").mkdir(parents=True)
+    for name in (
+        "__init__.py",
+        "core/__init__.py",
+        "core/_numba.py",
+        "core/errors.py",
+        "core/se2.py",
+        "core/types.py",
+    ):
         shutil.copy(PACKAGE / name, copy / name)
-    (copy / "__pycache__").write_text("", encoding="ascii")
+    (copy / "core" / "__pycache__").write_text("", encoding="ascii")
     return copy
 
 
@@ -66,9 +73,9 @@ def test_a_read_only_install_keeps_its_machine_code_in_the_users_cache(tmp_path:
     copy = copy_without_a_cache(tmp_path)
     cache = tmp_path / "cache"
     said = run(USE_A_KERNEL, tmp_path, HOME=str(tmp_path), XDG_CACHE_HOME=str(cache))
-    assert said == f"{copy / 'se2.py'} [[2.0, 3.0]] True"
+    assert said == f"{copy / 'core' / 'se2.py'} [[2.0, 3.0]] True"
     assert sorted(tmp_path.rglob("*transform_points*.nbi"))
-    assert (copy / "__pycache__").is_file()
+    assert (copy / "core" / "__pycache__").is_file()
 
 
 def test_machine_code_goes_where_numba_is_told(tmp_path: Path) -> None:

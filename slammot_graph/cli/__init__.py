@@ -25,7 +25,7 @@ from slammot_graph.cli.logs import inject_command, simulate_command
 from slammot_graph.cli.methods import config_command, methods_command
 from slammot_graph.cli.running import demo_command, run_command
 from slammot_graph.cli.showing import animate_command, view_command
-from slammot_graph.errors import SlammotError
+from slammot_graph.core.errors import SlammotError
 
 __all__ = ["main"]
 

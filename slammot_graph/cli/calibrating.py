@@ -19,12 +19,12 @@ from slammot_graph.cli.console import (
     warn,
 )
 from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slammot_graph.calibration import Calibration, Windows
-    from slammot_graph.graph.odometry_noise import OdometryNoise
     from slammot_graph.logs import LaserLog
+    from slammot_graph.odometry.noise import OdometryNoise
+    from slammot_graph.odometry.self_calibration import Calibration, Windows
     from slammot_graph.pipeline import PipelineConfig
 
 
@@ -58,9 +58,9 @@ def calibrate_command(
     laser_pose
         As for `slammot-graph run`.
     """
-    from slammot_graph.calibration import calibrate
-    from slammot_graph.config import to_toml
+    from slammot_graph.core.config import to_toml
     from slammot_graph.logs import open_log
+    from slammot_graph.odometry.self_calibration import calibrate
 
     check_max_scans(max_scans)
     config, default = _settings(method)
@@ -93,8 +93,8 @@ def calibrate_command(
 
 def _settings(method: str) -> "tuple[PipelineConfig, OdometryNoise]":
     """Give the method's configuration and the noise that it has now."""
-    from slammot_graph.graph.odometry_noise import OdometryNoise
     from slammot_graph.methods import get_method
+    from slammot_graph.odometry.noise import OdometryNoise
     from slammot_graph.pipeline import PipelineConfig
 
     config = get_method(method).config
@@ -108,11 +108,11 @@ def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int 
     """Run the method, without loop closure and hindsight, and cut the log into windows."""
     import numpy as np
 
-    from slammot_graph.calibration import cut_windows
+    from slammot_graph.odometry.self_calibration import cut_windows
     from slammot_graph.pipeline import Pipeline
 
     pipeline = Pipeline(replace(config, close_loops=False, hindsight=False))
-    T_odom_base, T_anchor_base, cov_own, cov_common, anchors, is_usable = [], [], [], [], [], []
+    T_odom_base, T_anchor_base, cov_independent, cov_correlated, anchors, is_usable = [], [], [], [], [], []
     try:
         with scan_progress(log, method, max_scans) as show:
             for n_scans, scan in enumerate(itertools.islice(log, max_scans), start=1):
@@ -123,8 +123,10 @@ def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int 
                 anchors.append(step.anchor_scan)
                 is_usable.append(converged is not None)
                 T_anchor_base.append(step.T_anchor_base if converged is None else converged.T_ref_base)
-                cov_common.append(np.zeros((3, 3)) if converged is None else converged.cov_common)
-                cov_own.append(np.eye(3) if converged is None else converged.cov - converged.cov_common)
+                cov_correlated.append(np.zeros((3, 3)) if converged is None else converged.cov_correlated)
+                cov_independent.append(
+                    np.eye(3) if converged is None else converged.cov - converged.cov_correlated
+                )
                 show(n_scans)
     finally:
         pipeline.close()
@@ -134,8 +136,8 @@ def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int 
     return cut_windows(
         np.array(T_odom_base),
         np.array(T_anchor_base),
-        np.array(cov_own),
-        np.array(cov_common),
+        np.array(cov_independent),
+        np.array(cov_correlated),
         np.array(anchors),
         np.array(is_usable),
     )
@@ -145,18 +147,18 @@ def _warn_of_motion(log: Path, calibration: "Calibration") -> None:
     """Say in one line what the log could not tell."""
     if calibration.kept:
         stderr().print(
-            f"warning: {log}: too little motion, {calibration.way_m:.1f} m driven and"
+            f"warning: {log}: too little motion, {calibration.distance_m:.1f} m driven and"
             f" {calibration.turn_rad:.1f} rad turned; kept as they are: {', '.join(calibration.kept)}",
             soft_wrap=True,
         )
 
 
 def _table(log: Path, default: "OdometryNoise", calibration: "Calibration") -> Table:
-    from slammot_graph.calibration import PARAMETERS
+    from slammot_graph.odometry.self_calibration import PARAMETERS
 
     title = (
         f"Odometry noise of {log.name}, from {calibration.n_windows} windows over"
-        f" {calibration.way_m:.1f} m and {calibration.turn_rad:.1f} rad"
+        f" {calibration.distance_m:.1f} m and {calibration.turn_rad:.1f} rad"
     )
     table = figure_table(title, "parameter", "default", "estimated", "windows", no_wrap=True)
     for name, n_windows in zip(PARAMETERS, calibration.n_windows_of, strict=True):

@@ -16,7 +16,7 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
     from slammot_graph.evaluation import ErrorStats

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
     from slammot_graph.logs import LaserLog
-    from slammot_graph.run_folder import RunFolder
+    from slammot_graph.run_folder.reader import RunFolder
 
 LaserPose = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y YAW")]
 """Option of the commands that run a log."""

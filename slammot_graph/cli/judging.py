@@ -20,13 +20,13 @@ from slammot_graph.cli.console import (
 )
 from slammot_graph.cli.files import open_log_of_run, prepare_file, whole_file
 from slammot_graph.cli.running import RerunMode
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slammot_graph.comparison import ComparedRun, TruePath
+    from slammot_graph.core.types import FloatArray
     from slammot_graph.evaluation import RelationScores
-    from slammot_graph.run_folder import RunFolder
-    from slammot_graph.types import FloatArray
+    from slammot_graph.run_folder.comparison import ComparedRun, TruePath
+    from slammot_graph.run_folder.reader import RunFolder
 
 
 def evaluate_command(
@@ -87,10 +87,10 @@ def _relation_table(directory: Path, relations: Path, max_duration: float) -> Ta
 
 def _truth_table(directory: Path, truth: Path) -> Table:
     """Absolute trajectory error (ATE) of the poses that have a true one, after alignment."""
-    from slammot_graph.comparison import read_truth
     from slammot_graph.evaluation import absolute_error, read_trajectory
     from slammot_graph.evaluation.trajectories import MAX_DIFFERENCE_S, associate
     from slammot_graph.logs import open_log
+    from slammot_graph.run_folder.comparison import read_truth
 
     if truth.suffix == ".npz":
         true = read_truth(open_log(truth))
@@ -151,10 +151,10 @@ def compare_command(
     if output.suffix != ".rrd":
         raise InputError(f"{output}: the name of --output must end in .rrd")
 
-    from slammot_graph.comparison import compare, read_truth
     from slammot_graph.evaluation import read_relations
     from slammot_graph.logs import open_log
-    from slammot_graph.run_folder import read_run_folder
+    from slammot_graph.run_folder.comparison import compare, read_truth
+    from slammot_graph.run_folder.reader import read_run_folder
 
     folders = [read_run_folder(directory) for directory in directories]
     true_relations = None if relations is None else read_relations(relations)
@@ -179,9 +179,9 @@ def compare_command(
 
 def _truth_of(folders: "list[RunFolder]") -> "TruePath | None":
     """Look for true poses in the log of the runs."""
-    from slammot_graph.comparison import read_truth
     from slammot_graph.logs import open_log, source_of
-    from slammot_graph.run_folder import have_same_times
+    from slammot_graph.run_folder.comparison import read_truth
+    from slammot_graph.run_folder.reader import have_same_times
 
     paths = {folder.log for folder in folders if folder.log is not None}
     path = paths.pop() if len(paths) == 1 else None
@@ -234,8 +234,8 @@ def _record(
     runs: "list[ComparedRun]", truth: "TruePath | None", rows: list[list[str]], *, output: Path | None
 ) -> None:
     """Write a comparison into a file, or show it in a viewer."""
-    from slammot_graph.comparison import true_path
-    from slammot_graph.comparison_recording import record_comparison
+    from slammot_graph.run_folder.comparison import true_path
+    from slammot_graph.viz.rerun.comparison import record_comparison
 
     heading, *cells = rows
     lines = [heading, ["---"] * len(heading), *cells]
@@ -252,7 +252,7 @@ def _record(
 
 def _moving_points(runs: "list[ComparedRun]", truth: "TruePath | None") -> "dict[str, list[FloatArray]]":
     """Find the moving points of the runs whose log can still be read; a run folder holds only their labels."""
-    from slammot_graph.comparison import moving_points
+    from slammot_graph.run_folder.comparison import moving_points
 
     found = {}
     for run in runs:

@@ -8,11 +8,11 @@ import tyro
 
 from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
 from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
+    from slammot_graph.core.types import FloatArray
     from slammot_graph.logs import LaserLog
-    from slammot_graph.types import FloatArray
 
 
 def simulate_command(
@@ -143,7 +143,7 @@ def _read_reference(directory: Path, log: "LaserLog", max_scans: int | None) -> 
     import numpy as np
 
     from slammot_graph.evaluation import read_trajectory
-    from slammot_graph.run_folder import have_same_times
+    from slammot_graph.run_folder.reader import have_same_times
 
     stamps, T_map_base = read_trajectory(directory / "trajectory.tum")
     of_log = np.array([scan.stamp for scan in itertools.islice(log, max_scans)])

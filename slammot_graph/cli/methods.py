@@ -27,7 +27,7 @@ def config_command(*, method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "g
     method
         One of those that `slammot-graph methods` lists.
     """
-    from slammot_graph.config import to_toml
+    from slammot_graph.core.config import to_toml
     from slammot_graph.methods import get_method
 
     chosen = get_method(method)

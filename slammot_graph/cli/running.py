@@ -31,10 +31,10 @@ from slammot_graph.cli.files import LaserPose
 from slammot_graph.cli.logs import write_simulation
 
 if TYPE_CHECKING:
+    from slammot_graph.core.results import RunResult, StepResult
     from slammot_graph.logs import LaserLog
-    from slammot_graph.recording import RunLog
-    from slammot_graph.result_types import RunResult, StepResult
     from slammot_graph.run import Run
+    from slammot_graph.viz.rerun.recording import RunLog
 
 DEMO_METHODS = ("odometry", "icp", "docpfo", "graph")
 DEMO_SEED = 0
@@ -88,7 +88,7 @@ def run_command(
     overwrite
         Replace a run that is already in the folder.
     """
-    from slammot_graph.config import load_config
+    from slammot_graph.core.config import load_config
     from slammot_graph.logs import open_log
     from slammot_graph.methods import get_method
 
@@ -156,7 +156,7 @@ class _Outcome:
 
 def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> _Outcome:
     """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
-    from slammot_graph.results import prepare_output, write_run_folder
+    from slammot_graph.run_folder.writer import prepare_output, write_run_folder
 
     prepare_output(output, overwrite=overwrite)
     _announce_compilation()
@@ -196,8 +196,8 @@ def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> 
 @cache
 def _announce_compilation() -> None:
     """Say, once per process, why the first scan takes its time where the machine code is not there yet."""
-    from slammot_graph._numba import is_compiled
-    from slammot_graph.matching._kernels import match_point_to_line
+    from slammot_graph.core._numba import is_compiled
+    from slammot_graph.registration._solve_kernels import match_point_to_line
 
     if not is_compiled(match_point_to_line):
         stderr().print(
@@ -220,7 +220,7 @@ def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
 def _record_cells(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
     """Log the cells around the robot if the method tests them; comes before the step's own log."""
     from slammot_graph.pipeline import Pipeline
-    from slammot_graph.recording import CELLS_HALF_SIDE_M
+    from slammot_graph.viz.rerun.recording import CELLS_HALF_SIDE_M
 
     pipeline = run.pipeline
     if isinstance(pipeline, Pipeline) and pipeline.config.filter_moving:
@@ -230,8 +230,8 @@ def _record_cells(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
 
 
 def _make_run_log(run: "Run", output: Path, mode: RerunMode) -> "RunLog":
-    from slammot_graph.config import to_plain
-    from slammot_graph.recording import NoRunLog, RerunLog
+    from slammot_graph.core.config import to_plain
+    from slammot_graph.viz.rerun.recording import NoRunLog, RerunLog
 
     if mode == "off":
         return NoRunLog()
@@ -265,7 +265,7 @@ def _run_table(outcome: _Outcome) -> Table:
 
     from slammot_graph.evaluation.trajectories import path_length
     from slammot_graph.logs import source_of
-    from slammot_graph.results import RUN_FILES
+    from slammot_graph.run_folder.writer import RUN_FILES
 
     result, log = outcome.result, outcome.run.log
     table = Table(title=f"{result.method} on {log.path.name}", show_header=False)

@@ -9,11 +9,11 @@ import tyro
 
 from slammot_graph.cli.console import EXIT_OK, command, progress, stderr
 from slammot_graph.cli.files import open_log_of_run, prepare_file, whole_file
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slammot_graph.animation import Kind
-    from slammot_graph.run_folder import RunFolder
+    from slammot_graph.run_folder.reader import RunFolder
+    from slammot_graph.viz.animation import Kind
 
 MAX_FRAMES = {".gif": 100, ".mp4": 1000}
 """So many frames are made of a run unless --every says otherwise."""
@@ -35,7 +35,7 @@ def view_command(directory: Annotated[Path, tyro.conf.arg(metavar="DIR")], /) ->
             raise InputError(f"{path}: no such recording; run it again without --rerun off")
         raise InputError(f"{directory}: no such run folder or recording; check the path")
 
-    from slammot_graph.rerun_parts import viewer_executable
+    from slammot_graph.viz.rerun.primitives import viewer_executable
 
     viewer = viewer_executable()
     if viewer is None:
@@ -92,8 +92,8 @@ def animate_command(
     if kind == "gif" and fps > MAX_GIF_FPS:
         raise InputError(f"--fps must be at most {MAX_GIF_FPS:g} for a .gif, not {fps:g}")
 
-    from slammot_graph.animation import find_ffmpeg, write_animation
-    from slammot_graph.run_folder import read_run_folder
+    from slammot_graph.run_folder.reader import read_run_folder
+    from slammot_graph.viz.animation import find_ffmpeg, write_animation
 
     if kind == "mp4":
         find_ffmpeg()

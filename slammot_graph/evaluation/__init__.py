@@ -23,12 +23,7 @@ from slammot_graph.evaluation.points import (
     motion_strata,
     strata,
 )
-from slammot_graph.evaluation.relations import (
-    Relations,
-    RelationScores,
-    evaluate_relations,
-    read_relations,
-)
+from slammot_graph.evaluation.relations import Relations, RelationScores, evaluate_relations, read_relations
 from slammot_graph.evaluation.stats import ErrorStats, summarize
 from slammot_graph.evaluation.tracks import TrackPoints, TrackScores, evaluate_tracks
 from slammot_graph.evaluation.trajectories import (

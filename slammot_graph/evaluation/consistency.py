@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv
 
-from slammot_graph import se2
-from slammot_graph.errors import InputError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import RunResult
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation.stats import ratio
-from slammot_graph.result_types import RunResult
-from slammot_graph.types import BoolArray, FloatArray
 
 _SIGMAS_95 = 1.959963984540054
 

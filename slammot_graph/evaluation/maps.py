@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import GridMap
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation.stats import ratio
-from slammot_graph.result_types import GridMap
-from slammot_graph.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import GridMap
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.evaluation.stats import ratio
-from slammot_graph.result_types import GridMap
-from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 STANDING_SPEED_M_S = 0.1
 """A person slower than this stands."""

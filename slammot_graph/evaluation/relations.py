@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.errors import InputError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation.stats import ErrorStats, summarize
 from slammot_graph.evaluation.trajectories import error_sizes, nearest_stamps, read_number_rows
-from slammot_graph.types import FloatArray
 
 STAMP_TOLERANCE_S = 1e-5
 """A relation's time belongs to a pose if their stamps differ by no more than this [s]."""

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.evaluation.stats import ratio
-from slammot_graph.types import FloatArray, IntArray
 
 _KEPT_BONUS = 1000.0  # a pair of the last frame stays together while it can
 _HOTA_LEVELS = np.arange(1, 20) / 20.0

@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.errors import InputError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.evaluation.stats import ErrorStats, summarize
-from slammot_graph.types import FloatArray, IntArray
 
 MAX_DIFFERENCE_S = 0.01
 """Poses whose stamps differ by more than this do not belong together [s]; evo's default."""

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from slammot_graph._numba import kernel
-from slammot_graph.linalg import invert_lower
-from slammot_graph.types import FloatArray, IntArray
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.linalg import invert_lower
+from slammot_graph.core.types import FloatArray, IntArray
 
 
 @kernel

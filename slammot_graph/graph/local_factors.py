@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slammot_graph.errors import SlammotError
+from slammot_graph.core.errors import SlammotError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import _kernels
-from slammot_graph.types import FloatArray
 
 MAP = -1
 """Number of the local map itself among the keyframes."""

@@ -13,10 +13,10 @@ from typing import TypeVar
 import gtsam
 import numpy as np
 
-from slammot_graph.errors import ConfigError, SlammotError
-from slammot_graph.linalg import eigh3, is_covariance
-from slammot_graph.result_types import EdgeKind, GraphEdge
-from slammot_graph.types import FloatArray
+from slammot_graph.core.errors import ConfigError, SlammotError
+from slammot_graph.core.linalg import eigh3, is_covariance
+from slammot_graph.core.results import EdgeKind, GraphEdge
+from slammot_graph.core.types import FloatArray
 
 T = TypeVar("T")
 
@@ -143,7 +143,7 @@ class PoseGraph:
         self.edges = [edge for edge in self.edges if id(edge) not in gone]
 
     def rebuild(self, poses: FloatArray) -> None:
-        """Solve the whole graph anew from these poses (n, 3), as when a piece of it turns out to lie elsewhere.
+        """Solve the whole graph anew from these poses (n, 3), as when a component of it turns out to lie elsewhere.
 
         Edges that wait for the next `update` come in as well.
         """

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
-from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate
-from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
-from slammot_graph.scan import Scan
-from slammot_graph.types import BoolArray, FloatArray
+from slammot_graph.core import se2
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.localization.base import FIRST_COV, Estimate, FinalEstimate
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 
 
 class DeadReckoning:

@@ -5,25 +5,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.closure import LoopCloser, LoopClosureConfig, Submap
+from slammot_graph.core import se2
+from slammot_graph.core.linalg import invert
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph, PoseGraphConfig
-from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
-from slammot_graph.linalg import invert
-from slammot_graph.localization.localizer import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
-from slammot_graph.localization.visits import Visits
-from slammot_graph.matching import (
-    NO_NODE,
-    Keyframe,
-    LocalMap,
-    LocalMapConfig,
-    PointToLineConfig,
-    make_keyframe,
-    match_to_local_map,
-)
-from slammot_graph.result_types import ClosureAttempt, GraphEdge, MatchResult
-from slammot_graph.scan import Scan
-from slammot_graph.types import BoolArray, FloatArray
+from slammot_graph.localization.base import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
+from slammot_graph.localization.scan_poses import ScanPoses
+from slammot_graph.loop_closure.detector import LoopCloser, LoopClosureConfig
+from slammot_graph.loop_closure.submap import Submap
+from slammot_graph.mapping.local_map import NO_NODE, Keyframe, LocalMap, LocalMapConfig, make_keyframe
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
 
 LOST_STD = (3.0, 3.0, 0.8)
 """Standard deviations [m, m, rad] of the way since the last node when the robot is lost."""
@@ -34,10 +28,10 @@ JUMP_INLIERS, JUMP_NIS = 0.6, 45.0
 MOST_NIS = 50.0
 """A single innovation counts for no more than this in the running mean of its normalised square."""
 
-CARRIED_WAY_M = 0.2
+KIDNAPPED_DISTANCE_M = 0.2
 """A robot whose wheels turned less than this while it saw nothing may have been carried."""
 
-LOST_PATH_M = 20.0
+LOST_DISTANCE_M = 20.0
 """Way that a lost robot may have been carried, when it comes to recognising places."""
 
 
@@ -47,7 +41,7 @@ class _Prediction:
 
     T_local_base: FloatArray
     cov_prior: FloatArray
-    cov_own: FloatArray
+    cov_independent: FloatArray
     cov_odometry: FloatArray
     doubt: float
 
@@ -82,8 +76,8 @@ class ScanToMap:
         self._T_local_base: FloatArray = se2.IDENTITY
         self._T_local_before: FloatArray = se2.IDENTITY
         self._cov_prior: FloatArray = FIRST_COV
-        self._cov_own: FloatArray = FIRST_COV
-        self._cov_common: FloatArray = np.zeros((3, 3))
+        self._cov_independent: FloatArray = FIRST_COV
+        self._cov_correlated: FloatArray = np.zeros((3, 3))
         self._cov_anchor: FloatArray = FIRST_COV
         self._T_odom_base: FloatArray | None = None
         self._laser_base: FloatArray = np.zeros(2)
@@ -91,7 +85,7 @@ class ScanToMap:
         self._prediction = _Prediction(
             T_local_base=se2.IDENTITY,
             cov_prior=FIRST_COV,
-            cov_own=FIRST_COV,
+            cov_independent=FIRST_COV,
             cov_odometry=np.zeros((3, 3)),
             doubt=0.0,
         )
@@ -108,7 +102,7 @@ class ScanToMap:
         self._T_odom_seen: FloatArray = se2.IDENTITY
         self._doubt = 0.0
         self._node_scans: list[int] = []
-        self._visits = Visits()
+        self._scan_poses = ScanPoses()
 
     @property
     def closures(self) -> tuple[ClosureAttempt, ...]:
@@ -128,8 +122,8 @@ class ScanToMap:
             cov = self.noise.covariance(increment)
             self._T_local_base = se2.compose(self._T_local_base, increment)
             self._path_m += math.hypot(increment[0], increment[1])
-            before = np.array([self._cov_prior, self._cov_own, self._cov_odometry])
-            self._cov_prior, self._cov_own, self._cov_odometry = se2.compound_covariance(
+            before = np.array([self._cov_prior, self._cov_independent, self._cov_odometry])
+            self._cov_prior, self._cov_independent, self._cov_odometry = se2.compound_covariance(
                 before, increment, cov
             )
         self._T_odom_base = scan.T_odom_base
@@ -137,7 +131,7 @@ class ScanToMap:
         self._prediction = _Prediction(
             T_local_base=self._T_local_base,
             cov_prior=self._cov_prior,
-            cov_own=self._cov_own,
+            cov_independent=self._cov_independent,
             cov_odometry=self._cov_odometry,
             doubt=self._doubt,
         )
@@ -149,32 +143,32 @@ class ScanToMap:
         """See `Localizer`."""
         self._match = None
         before = self._prediction
-        self._T_local_base, self._cov_prior, self._cov_own = (
+        self._T_local_base, self._cov_prior, self._cov_independent = (
             before.T_local_base,
             before.cov_prior,
-            before.cov_own,
+            before.cov_independent,
         )
         self._cov_odometry = before.cov_odometry
         self.matching = self.config
         if kernel_factor != 1.0:
             self.matching = replace(self.config, kernel_scale_m=kernel_factor * self.config.kernel_scale_m)
         if self.local_map.keyframes:
-            match, T_local_base, cov_own = self._match_from(
-                points_base, is_static, self._T_local_base, self._cov_prior, self._cov_own
+            match, T_local_base, cov_independent = self._match_from(
+                points_base, is_static, self._T_local_base, self._cov_prior, self._cov_independent
             )
             nis = 0.0 if match.status == "failed" else match.nis
             if match.status == "failed" or (match.inlier_ratio < JUMP_INLIERS and nis > JUMP_NIS):
                 second = self._match_without_odometry(points_base, is_static, match)
-                match, T_local_base, cov_own = second or (match, T_local_base, cov_own)
+                match, T_local_base, cov_independent = second or (match, T_local_base, cov_independent)
             if match.status == "failed" and kernel_factor < 1.0:
                 return self.match(points_base, is_static)
             self._doubt = before.doubt + 0.1 * (min(nis, MOST_NIS) - before.doubt)
             if nis > self.matching.max_nis and self._doubt > self.matching.max_nis:
                 match = refuse(match, self._T_local_base, f"improbable, innovation squared {nis:.0f}")
-                T_local_base, cov_own = self._T_local_base, self._cov_own
-            self._match, self._T_local_base, self._cov_own = match, T_local_base, cov_own
+                T_local_base, cov_independent = self._T_local_base, self._cov_independent
+            self._match, self._T_local_base, self._cov_independent = match, T_local_base, cov_independent
             if match.status != "failed":
-                self._cov_common = match.cov_common
+                self._cov_correlated = match.cov_correlated
                 self._cov_prior = fuse(self._cov_prior, match)
         return self._estimate(), self._match
 
@@ -184,7 +178,7 @@ class ScanToMap:
         is_static: BoolArray,
         T_local_base: FloatArray,
         cov: FloatArray,
-        cov_own: FloatArray,
+        cov_independent: FloatArray,
     ) -> tuple[MatchResult, FloatArray, FloatArray]:
         return match_to_local_map(
             points_base,
@@ -194,7 +188,7 @@ class ScanToMap:
             T_local_base,
             cov,
             self.matching,
-            cov_own,
+            cov_independent,
         )
 
     def _match_without_odometry(
@@ -245,8 +239,12 @@ class ScanToMap:
                 events += self._add_keyframe(node, scan, points_base, is_static)
         anchor, T_anchor_base = self._from_anchor()
         T_node_base = se2.between(self._T_local_node, self._T_local_base)
-        self._visits.append(
-            len(self.graph) - 1, T_node_base, anchor, T_anchor_base, self._cov_own + self._cov_common
+        self._scan_poses.append(
+            len(self.graph) - 1,
+            T_node_base,
+            anchor,
+            T_anchor_base,
+            self._cov_independent + self._cov_correlated,
         )
         return node, is_keyframe, events
 
@@ -256,14 +254,14 @@ class ScanToMap:
 
     def final(self) -> FinalEstimate:
         """See `Localizer`."""
-        if not len(self._visits):
+        if not len(self._scan_poses):
             nothing = np.empty((0, 3))
             no_nodes = np.empty(0, dtype=np.int64)
             return FinalEstimate(
                 T_map_base=nothing, cov_map=np.empty((0, 3, 3)), node_scans=no_nodes, nodes=nothing, edges=()
             )
         nodes, marginals = self.graph.poses(), self.graph.marginals()
-        T_map_base, cov_map = self._visits.trajectory(nodes, marginals)
+        T_map_base, cov_map = self._scan_poses.trajectory(nodes, marginals)
         return FinalEstimate(
             T_map_base=T_map_base,
             cov_map=cov_map,
@@ -285,7 +283,7 @@ class ScanToMap:
 
     def _estimate(self) -> Estimate:
         anchor, T_anchor_base = self._from_anchor()
-        cov_relative = self._cov_own + self._cov_common
+        cov_relative = self._cov_independent + self._cov_correlated
         cov_absolute = se2.compound_covariance(self._cov_anchor, T_anchor_base, cov_relative)
         return Estimate(
             T_local_base=self._T_local_base,
@@ -301,8 +299,10 @@ class ScanToMap:
         Whoever carries a robot covers its laser, and the wheels stand still: then even a good match proves nothing.
         """
         if has_points and self._n_blind >= self.n_lost and self.local_map.keyframes:
-            way_m = float(np.hypot(*se2.between(self._T_odom_seen, scan.T_odom_base)[:2]))
-            if way_m < CARRIED_WAY_M or (self._match is not None and self._match.status == "failed"):
+            distance_m = float(np.hypot(*se2.between(self._T_odom_seen, scan.T_odom_base)[:2]))
+            if distance_m < KIDNAPPED_DISTANCE_M or (
+                self._match is not None and self._match.status == "failed"
+            ):
                 return f"{self._n_blind} scans with nothing in sight, the robot may have been carried"
         return f"{self.n_lost} matches failed in a row" if self._n_failed >= self.n_lost else ""
 
@@ -314,9 +314,9 @@ class ScanToMap:
         last = len(self.graph) - 1
         self._cov_odometry = self._cov_odometry + np.diag(np.square(LOST_STD))
         self._cov_anchor = self.graph.marginal(last)
-        self._cov_prior = self._cov_own = self._cov_odometry
-        self._cov_common = np.zeros((3, 3))
-        self._path_m += LOST_PATH_M
+        self._cov_prior = self._cov_independent = self._cov_odometry
+        self._cov_correlated = np.zeros((3, 3))
+        self._path_m += LOST_DISTANCE_M
         if self.closer is not None and len(self.local_map.keyframes) > 1:
             self.closer.submaps.append(self._submap(tuple(self.local_map.keyframes)))
         self.n_times_lost += 1
@@ -384,7 +384,7 @@ class ScanToMap:
             self.local_map.config,
         )
         is_first = not self.local_map.keyframes
-        finished = self.local_map.add(keyframe, None if is_first else self._cov_own)
+        finished = self.local_map.add(keyframe, None if is_first else self._cov_independent)
         events = list[str]()
         if finished and self.closer is not None:
             _, self._closures = self.closer.consider(self._submap(finished))
@@ -396,10 +396,10 @@ class ScanToMap:
             self._cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
         if is_first:
             self.local_factors.start(self._T_local_base)
-            self._cov_own, self._cov_common = FIRST_COV, np.zeros((3, 3))
+            self._cov_independent, self._cov_correlated = FIRST_COV, np.zeros((3, 3))
         elif finished:
             covs = self.local_factors.of_latest(len(self.local_map.keyframes))
             self.local_map.set_covariances(covs)
-            self._cov_own = covs[-1]
+            self._cov_independent = covs[-1]
         self._cov_prior = self._cov_keyframe
         return events

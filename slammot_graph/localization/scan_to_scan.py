@@ -1,13 +1,13 @@
 """The paper's localization: each scan matched onto the static points of the one before."""
 
-from slammot_graph import se2
-from slammot_graph.graph.odometry_noise import ConstantNoise, OdometryNoise
+from slammot_graph.core import se2
+from slammot_graph.core.results import MatchResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.localization.base import Estimate
 from slammot_graph.localization.dead_reckoning import DeadReckoning
-from slammot_graph.localization.localizer import Estimate
-from slammot_graph.matching import PointToPointConfig, match_scans
-from slammot_graph.result_types import MatchResult
-from slammot_graph.scan import Scan
-from slammot_graph.types import BoolArray, FloatArray
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.registration.point_to_point import PointToPointConfig, match_scans
 
 
 class ScanToScan(DeadReckoning):

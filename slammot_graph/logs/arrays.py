@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from slammot_graph.errors import ConfigError, InputError
-from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
+from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.scan import LaserModel, ScanTruth
+from slammot_graph.core.types import FloatArray
+from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
-from slammot_graph.scan import LaserModel, ScanTruth
-from slammot_graph.types import FloatArray
 
 SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
 REQUIRED = ("stamps", "ranges", *SCALARS, "odometry", "laser_pose")

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 from slammot_graph.logs.bag_topics import Topic
-from slammot_graph.logs.checked import one_line
+from slammot_graph.logs.base import one_line
 
 
 class BagMessage(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_stamp, planar_pose, transforms
 from slammot_graph.logs.bag_topics import ODOMETRY_TYPES, TF_TYPES, Topic
 from slammot_graph.logs.odometry import OdometryTrack

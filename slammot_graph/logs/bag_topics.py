@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 SCAN_TYPES = ("sensor_msgs/msg/LaserScan",)
 ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)

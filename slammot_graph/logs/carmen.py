@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from slammot_graph.errors import ConfigError
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.scan import LaserModel
+from slammot_graph.core.types import FloatArray
+from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.carmen_geometry import survey_carmen
 from slammot_graph.logs.carmen_lines import LaserLine, split_laser_line
-from slammot_graph.logs.carmen_survey import survey_carmen
-from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
-from slammot_graph.logs.log import SkippedScan
 from slammot_graph.logs.mounting import laser_pose_source
+from slammot_graph.logs.source import SkippedScan
 from slammot_graph.logs.text_lines import numbered_lines
-from slammot_graph.scan import LaserModel
-from slammot_graph.types import FloatArray
 
 
 class CarmenLog(CheckedLog):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.errors import ConfigError
-from slammot_graph.types import FloatArray
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 
 MAX_TILT = math.radians(10.0)
 """A laser tilted further out of the robot's plane than this is worth a warning."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.types import FloatArray
+from slammot_graph.core import se2
+from slammot_graph.core.types import FloatArray
 
 MAX_HOLD_S = 0.2
 """How far the nearest pose is carried over to a stamp that has no pose on both sides."""

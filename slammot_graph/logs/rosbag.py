@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from slammot_graph.errors import ConfigError, InputError
+from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.scan import LaserModel
 from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_stamp, open_bag
 from slammot_graph.logs.bag_mounting import find_mounting
 from slammot_graph.logs.bag_odometry import base_frames, odometry_track, read_odometry, share_a_clock
 from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic, tf_topic
-from slammot_graph.logs.checked import CheckedLog, RawScan, Records, one_line
-from slammot_graph.logs.log import SkippedScan
+from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.odometry import MAX_HOLD_S
-from slammot_graph.scan import LaserModel
+from slammot_graph.logs.source import SkippedScan
 
 MAX_BEAM_COUNT_ERROR = 1.5
 """Beams that a scan's count may differ from what its angles tell."""

@@ -8,8 +8,8 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from slammot_graph.errors import InputError
-from slammot_graph.logs.checked import one_line
+from slammot_graph.core.errors import InputError
+from slammot_graph.logs.base import one_line
 
 _BUFFER_BYTES = 1 << 18
 

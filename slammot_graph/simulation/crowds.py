@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from slammot_graph.errors import ConfigError
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.free_space import FreeSpace
-from slammot_graph.types import FloatArray
 
 STEP_S = 0.05
 N_WAY_POINTS = 6

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from slammot_graph._numba import kernel
-from slammot_graph.errors import ConfigError
-from slammot_graph.types import BoolArray, FloatArray, IntArray
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 MAX_CLEARANCE_M = 3.0
 """Clearances are cut off here: beyond it nothing is near."""

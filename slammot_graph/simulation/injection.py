@@ -3,16 +3,16 @@
 import numpy as np
 from scipy import ndimage
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError, InputError
-from slammot_graph.grid import GridConfig, OccupancyGrid
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs import LaserLog
-from slammot_graph.scan import LaserModel, Scan
+from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.simulation.free_space import MAX_CLEARANCE_M, FreeSpace, connected_free_space
 from slammot_graph.simulation.laser import cast_rays
 from slammot_graph.simulation.log import SimulatedLog
 from slammot_graph.simulation.people import PeopleConfig, circles, walk
-from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 RESOLUTION_M = 0.1
 RANGE_STD_M = 0.01

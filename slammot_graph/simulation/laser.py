@@ -6,11 +6,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph._numba import kernel
-from slammot_graph.errors import ConfigError
-from slammot_graph.scan import LaserModel
-from slammot_graph.types import FloatArray, IntArray
+from slammot_graph.core import se2
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.scan import LaserModel
+from slammot_graph.core.types import FloatArray, IntArray
 
 HIT_NOTHING = -2
 HIT_STATIC = -1

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs import SkippedScan, write_npz_log
-from slammot_graph.scan import LaserModel, Scan, ScanTruth
-from slammot_graph.types import BoolArray, FloatArray, IntArray
 
 
 class SimulatedLog:

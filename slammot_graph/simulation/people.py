@@ -5,11 +5,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.simulation.crowds import walk_in_crowd
 from slammot_graph.simulation.free_space import FreeSpace
-from slammot_graph.types import FloatArray, IntArray
 
 Behaviour = Literal["wander", "walk-then-stop", "along", "crowd"]
 Shape = Literal["legs", "cylinder"]

@@ -4,10 +4,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph._numba import kernel
-from slammot_graph.errors import ConfigError
-from slammot_graph.types import FloatArray
+from slammot_graph.core import se2
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 
 _ROUTE_STEP_M = 0.05
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slammot_graph.errors import ConfigError
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.laser import laser_named, measure
 from slammot_graph.simulation.log import SimulatedLog
 from slammot_graph.simulation.people import PeopleConfig, circles, walk
 from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
 from slammot_graph.simulation.worlds import world_named
-from slammot_graph.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

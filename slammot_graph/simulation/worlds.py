@@ -8,9 +8,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from slammot_graph.errors import ConfigError
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.free_space import FreeSpace, free_space_of_segments
-from slammot_graph.types import FloatArray
 
 Segment = tuple[float, float, float, float]
 

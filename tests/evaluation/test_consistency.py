@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slammot_graph import Run, se2
-from slammot_graph.errors import InputError
+from slammot_graph import Run
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.linalg import mahalanobis2
 from slammot_graph.evaluation import average_nees, ellipse_coverage, nees, pose_errors, run_consistency
 from slammot_graph.evaluation.consistency import chi2_quantile
-from slammot_graph.linalg import mahalanobis2
 from slammot_graph.simulation import simulate
 
 COV = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, -0.002], [0.0, -0.002, 0.001]])

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import GridMap
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import evaluate_map
-from slammot_graph.result_types import GridMap
-from slammot_graph.types import FloatArray
 
 
 def grid(p: FloatArray, x: float = 0.0, y: float = 0.0, resolution_m: float = 0.5) -> GridMap:

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import GridMap
 from slammot_graph.evaluation import (
     PointScores,
     beam_speeds,
@@ -15,7 +16,6 @@ from slammot_graph.evaluation import (
     motion_strata,
     strata,
 )
-from slammot_graph.result_types import GridMap
 
 
 def bits(text: str) -> np.ndarray:

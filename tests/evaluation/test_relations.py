@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import InputError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
 from slammot_graph.evaluation import Relations, evaluate_relations, read_relations
 
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 from slammot_graph.evaluation import TrackPoints, evaluate_tracks
 
 EMPTY = TrackPoints(

@@ -5,17 +5,11 @@ import pytest
 from evo.core import metrics
 from evo.core.trajectory import PoseTrajectory3D
 
-from slammot_graph import se2
-from slammot_graph.errors import InputError
-from slammot_graph.evaluation import (
-    ErrorStats,
-    absolute_error,
-    alignment,
-    read_trajectory,
-    relative_error,
-)
+from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.types import FloatArray
+from slammot_graph.evaluation import ErrorStats, absolute_error, alignment, read_trajectory, relative_error
 from slammot_graph.evaluation.trajectories import associate, path_length
-from slammot_graph.types import FloatArray
 
 
 def walk(rng: np.random.Generator, n: int = 200) -> FloatArray:

@@ -15,7 +15,7 @@ import pytest
 
 from experiments import common
 from experiments.common import Options, Scores, main, run_cells
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 NAME = "made"
 

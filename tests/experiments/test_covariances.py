@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import common, extra_moving_points, fit_p_moving
-from slammot_graph.motion.probability import NAMES, WEIGHTS
+from slammot_graph.detection.probability import NAMES, WEIGHTS
 from tests.experiments.test_scripts import assert_drawn, quick
 
 

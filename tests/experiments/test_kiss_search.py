@@ -10,7 +10,7 @@ import pytest
 
 from experiments import kiss_search
 from experiments.common import ROOT, main
-from slammot_graph.baselines import KissIcpPipeline
+from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from tests.rooms import drive, errors
 
 DATA = Path(os.environ.get("SLAMMOT_DATA") or ROOT.parent / "shared" / "data")

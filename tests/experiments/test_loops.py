@@ -7,8 +7,8 @@ import pytest
 
 from experiments import false_closures, freiburg, large_building, lost_robot
 from experiments.freiburg import LoopOptions, command_line
-from slammot_graph import se2
-from slammot_graph.result_types import GraphEdge
+from slammot_graph.core import se2
+from slammot_graph.core.results import GraphEdge
 from slammot_graph.simulation import SimulatedLog, simulate
 
 

@@ -10,7 +10,7 @@ import pytest
 from experiments import place_recognition
 from experiments.common import main
 from experiments.place_recognition import Answer
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 
 
 def test_quick_mode(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from experiments import speed
 from experiments.speed import METHODS, main, too_slow
-from slammot_graph import se2
+from slammot_graph.core import se2
 from slammot_graph.simulation import simulate
 
 

@@ -2,9 +2,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slammot_graph import se2
+from slammot_graph.core import se2
+from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.graph import _kernels
-from slammot_graph.types import FloatArray, IntArray
 
 HELD = -1
 

@@ -3,9 +3,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from slammot_graph import se2
+from slammot_graph.core import se2
+from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph, PoseGraphConfig
-from slammot_graph.types import FloatArray
 
 STEP = np.array([0.3, 0.02, 0.15])
 COV_ODOMETRY = np.diag([0.02, 0.015, 0.01]) ** 2

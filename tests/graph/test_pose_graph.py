@@ -5,11 +5,11 @@ import gtsam
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError, SlammotError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError, SlammotError
+from slammot_graph.core.linalg import is_covariance
+from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
-from slammot_graph.linalg import is_covariance
-from slammot_graph.types import FloatArray
 from tests.rooms import errors
 
 PRIOR_STD = 1e-3

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slammot_graph import se2
+from slammot_graph.core import se2
+from slammot_graph.core.results import StepResult
+from slammot_graph.core.types import FloatArray
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.result_types import StepResult
-from slammot_graph.types import FloatArray
 from tests.rooms import ROOM, ListLog, box, covered, drive, truth_from_start
 
 N_SCANS = 70
@@ -72,8 +72,8 @@ def test_poses_relative_to_the_anchor_agree_with_the_trajectory(room: Room) -> N
 def test_its_covariance_contains_what_scans_have_in_common(room: Room) -> None:
     for step in room[1][1:]:
         assert step.match is not None
-        assert np.abs(step.match.cov_common).max() > 0.0
-        assert is_positive(step.cov_anchor_base - step.match.cov_common)
+        assert np.abs(step.match.cov_correlated).max() > 0.0
+        assert is_positive(step.cov_anchor_base - step.match.cov_correlated)
         assert np.linalg.eigvalsh(step.cov_anchor_base)[0] > 0.0
 
 
@@ -82,12 +82,12 @@ def test_the_tests_covariance_contains_that_of_the_match_before(room: Room) -> N
     steps = room[1]
     for before, step in itertools.pairwise(steps[1:]):
         assert before.match is not None
-        assert is_positive(step.cov_relative - before.match.cov_common)
+        assert is_positive(step.cov_relative - before.match.cov_correlated)
         if step.anchor_scan == before.anchor_scan and before.node is None:
             increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)
-            own = before.cov_anchor_base - before.match.cov_common
+            own = before.cov_anchor_base - before.match.cov_correlated
             noise = PipelineConfig().odometry_noise.covariance(increment)
-            expected = se2.compound_covariance(own, increment, noise) + before.match.cov_common
+            expected = se2.compound_covariance(own, increment, noise) + before.match.cov_correlated
             np.testing.assert_allclose(step.cov_relative, expected, rtol=1e-9, atol=1e-15)
 
 
@@ -100,7 +100,7 @@ def test_a_scan_without_a_match_keeps_what_was_common(room: Room) -> None:
     np.testing.assert_allclose(failed.cov_anchor_base, failed.cov_relative, rtol=1e-9)
     common = steps[covered_at - 1].match
     assert common is not None
-    assert is_positive(failed.cov_anchor_base - common.cov_common)
+    assert is_positive(failed.cov_anchor_base - common.cov_correlated)
     assert np.trace(failed.cov_anchor_base) > np.trace(steps[covered_at - 1].cov_anchor_base)
 
 

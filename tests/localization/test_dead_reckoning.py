@@ -1,9 +1,9 @@
 import numpy as np
 
-from slammot_graph import se2
-from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.core import se2
 from slammot_graph.localization import DeadReckoning
-from slammot_graph.localization.localizer import FIRST_COV
+from slammot_graph.localization.base import FIRST_COV
+from slammot_graph.odometry.noise import OdometryNoise
 from tests.rooms import drive
 
 

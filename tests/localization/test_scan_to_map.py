@@ -3,14 +3,15 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from slammot_graph import se2
+from slammot_graph.core import se2
+from slammot_graph.core.linalg import is_covariance
+from slammot_graph.core.results import MatchResult
+from slammot_graph.core.scan import Scan
 from slammot_graph.graph import PoseGraphConfig
-from slammot_graph.graph.odometry_noise import OdometryNoise
-from slammot_graph.linalg import is_covariance
 from slammot_graph.localization import Estimate, ScanToMap
-from slammot_graph.matching import LocalMapConfig, PointToLineConfig
-from slammot_graph.result_types import MatchResult
-from slammot_graph.scan import Scan
+from slammot_graph.mapping.local_map import LocalMapConfig
+from slammot_graph.odometry.noise import OdometryNoise
+from slammot_graph.registration.point_to_line import PointToLineConfig
 from tests.rooms import CORRIDOR, carried, covered, drive, errors, truth_from_start
 
 N_LOST = 3

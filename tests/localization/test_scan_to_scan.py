@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.graph.odometry_noise import OdometryNoise
+from slammot_graph.core import se2
+from slammot_graph.core.scan import Scan
 from slammot_graph.localization import ScanToScan
-from slammot_graph.matching import PointToPointConfig
-from slammot_graph.scan import Scan
+from slammot_graph.odometry.noise import OdometryNoise
+from slammot_graph.registration.point_to_point import PointToPointConfig
 from tests.rooms import take_scan
 
 A = np.array([2.0, 0.0, 1.5])

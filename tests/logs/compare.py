@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slammot_graph.scan import Scan
+from slammot_graph.core.scan import Scan
 
 
 def assert_same_scans(actual: Sequence[Scan], expected: Sequence[Scan]) -> None:

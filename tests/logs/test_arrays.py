@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slammot_graph.errors import ConfigError, InputError
+from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.logs import open_log, source_of, write_npz_log
 from tests.logs.compare import assert_same_scans
 

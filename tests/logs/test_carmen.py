@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 from slammot_graph.logs import open_log, source_of
 from tests.logs.carmen_text import flaser, robotlaser, write_log
 from tests.logs.compare import assert_same_scans

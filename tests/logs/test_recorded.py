@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 from slammot_graph.logs import open_log
 from tests.logs.compare import assert_same_scans
 

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from slammot_graph.errors import InputError
+from slammot_graph.core.errors import InputError
 from slammot_graph.logs import open_log, source_of
 from tests.logs import bag_files as bf
 from tests.logs.compare import assert_same_scans

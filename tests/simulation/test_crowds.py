@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from slammot_graph.errors import ConfigError
+from slammot_graph.core.errors import ConfigError
 from slammot_graph.simulation import simulate
 from slammot_graph.simulation.worlds import world_named
 

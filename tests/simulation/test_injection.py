@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError, InputError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.logs import open_log
 from slammot_graph.simulation import PeopleConfig, SimulatedLog, inject, inject_along
 from slammot_graph.simulation.people import circles
-from slammot_graph.types import FloatArray
 from tests.rooms import LASER, ROOM, ListLog, drive, truth_from_start, wall_distance
 
 SPECIAL = [np.nan, np.inf, -np.inf, -1.0, 0.0, 29.5, 30.0, 1e9]

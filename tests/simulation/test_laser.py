@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError
-from slammot_graph.scan import LaserModel
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.scan import LaserModel
+from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.simulation.laser import (
     HIT_NOTHING,
     HIT_STATIC,
@@ -18,7 +19,6 @@ from slammot_graph.simulation.laser import (
     laser_named,
     measure,
 )
-from slammot_graph.types import FloatArray, IntArray
 from tests.rooms import ROOM
 
 seeds = st.integers(0, 2**32 - 1)

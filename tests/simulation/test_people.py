@@ -1,18 +1,11 @@
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.free_space import free_space_of_segments
-from slammot_graph.simulation.people import (
-    HALF_HIP_M,
-    LEG_RADIUS_M,
-    STRIDE_M,
-    PeopleConfig,
-    circles,
-    walk,
-)
-from slammot_graph.types import FloatArray
+from slammot_graph.simulation.people import HALF_HIP_M, LEG_RADIUS_M, STRIDE_M, PeopleConfig, circles, walk
 from tests.rooms import ROOM, box, wall_distance
 
 ROOM_SPACE = free_space_of_segments(ROOM, np.array([2.0, 0.0]))

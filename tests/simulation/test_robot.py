@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.robot import (
     DriveConfig,
     OdometryErrors,
@@ -10,7 +11,6 @@ from slammot_graph.simulation.robot import (
     drive,
     simulate_odometry,
 )
-from slammot_graph.types import FloatArray
 
 QUIET = OdometryNoise(
     scale_std=0.0,

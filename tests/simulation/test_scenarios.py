@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slammot_graph import se2
-from slammot_graph.errors import ConfigError
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
 from slammot_graph.logs import open_log
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
 from slammot_graph.simulation.laser import cast_rays, laser_named

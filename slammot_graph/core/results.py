@@ -1,0 +1,300 @@
+"""What a step and a run hand out: plain arrays with their units and frames, nothing that computes."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from slammot_graph.core import se2
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+
+MatchStatus = Literal["converged", "degenerate", "failed"]
+ClosureStatus = Literal["accepted", "waiting", "refused", "outlier"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MatchResult:
+    """Outcome of one scan match.
+
+    Attributes
+    ----------
+    status : "converged", "degenerate" (some direction is not constrained) or "failed" (do not use it)
+    T_ref_base : (3,) array
+        Base in the frame of what was matched against (a local map's anchor, or the previous scan's base).
+    innovation : (3,) array
+        Tangent from the predicted pose to the matched one, body frame; zero where the match failed.
+    cov : (3, 3) array
+        Covariance of `T_ref_base`, right perturbation, order (x, y, theta); huge in unconstrained directions.
+    information : (3, 3) array
+        Its inverse, zero in the directions that the match says nothing about.
+    graph_information : (3, 3) array
+        The same for a pose graph, which takes the errors of its factors for independent: cautious.
+    hessian_information : (3, 3) array
+        What the match's normal equations alone claim, all residuals taken for independent: far too much.
+    cov_correlated : (3, 3) array
+        The part of `cov` that the matches of the next scans share (the same lines of the same local map).
+    n_iterations, n_correspondences : int
+    inlier_ratio : float
+        Share of the matched points that found a partner and agree with it.
+    residual_m : float
+        Robust root mean square of the residuals [m].
+    nis : float
+        Normalised square of the innovation against the prediction and this match (3 degrees of freedom if both are
+        honest); NaN where the match failed or was made without a prediction.
+    reason : str
+        Why it failed or is degenerate; empty when converged.
+    is_refused : bool
+        It failed only because it contradicts the odometry.
+    """
+
+    status: MatchStatus
+    T_ref_base: FloatArray
+    innovation: FloatArray
+    cov: FloatArray
+    information: FloatArray
+    graph_information: FloatArray
+    hessian_information: FloatArray
+    cov_correlated: FloatArray
+    n_iterations: int
+    n_correspondences: int
+    inlier_ratio: float
+    residual_m: float
+    nis: float = math.nan
+    reason: str = ""
+    is_refused: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackState:
+    """One moving object at one scan.
+
+    Attributes
+    ----------
+    track_id : int
+    position : (2,) array [m], map frame
+    velocity : (2,) array [m/s], map frame
+    position_cov : (2, 2) array [m^2], map frame
+    beams : (k,) int array
+        Beams of this scan that were assigned to the track; empty when it was only predicted.
+    """
+
+    track_id: int
+    position: FloatArray
+    velocity: FloatArray
+    position_cov: FloatArray
+    beams: IntArray
+
+
+EdgeKind = Literal["odometry", "match", "closure"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, slots=True)
+class GraphEdge:
+    """A factor between two nodes: the pose of `to_node` in the frame of `from_node`."""
+
+    kind: EdgeKind
+    from_node: int
+    to_node: int
+    T_from_to: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosureAttempt:
+    """Two places that might have been one, and what became of it.
+
+    Attributes
+    ----------
+    target_node, source_node : int
+        Graph nodes of the anchors of the earlier and of the later local map.
+    status : "accepted", "waiting" (for another to confirm it), "refused" or "outlier"
+    reason : str
+        Why, in words; empty where there is nothing to add.
+    T_target_source : (3,) array
+        The relative pose that was found, or where it was refused before that, the one that was expected.
+    """
+
+    target_node: int
+    source_node: int
+    status: ClosureStatus
+    reason: str
+    T_target_source: FloatArray
+
+    @property
+    def text(self) -> str:
+        """One line for a person."""
+        name = f"closure {self.target_node}-{self.source_node}"
+        if self.status == "accepted":
+            return f"{name} accepted" + (f", {self.reason}" if self.reason else "")
+        if self.status == "waiting":
+            return f"{name} waits for another to confirm it, {self.reason}"
+        status = "rejected as an outlier" if self.status == "outlier" else self.status
+        return f"{name} {status}: {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StepResult:
+    """Everything that one scan brought.
+
+    Attributes
+    ----------
+    scan : Scan
+    T_map_base : (3,) array
+        Best pose at this time.
+    cov_map : (3, 3) array
+        Its covariance, right perturbation (body frame).
+    T_map_base_predicted : (3,) array
+        The pose before the match.
+    cov_relative : (3, 3) array
+        The covariance that the moving-point test used: of the predicted base relative to the local map's anchor
+        (or what the method puts in its place), body frame.
+    anchor_scan : int
+        Index of the scan that the local map hangs on when this one was matched; -1 where there is none.
+    T_anchor_base : (3,) array
+        The matched pose relative to that scan's.
+    cov_anchor_base : (3, 3) array
+        Its covariance, right perturbation (body frame).
+    is_valid, is_moving : (n_beams,) bool arrays
+    p_moving : (n_beams,) array
+        Probability that the beam hit something moving; NaN where not valid.
+    reason : (n_beams,) int array
+        Why a beam was decided as it was: an index into `motion.REASONS`.
+    packed_cov : (n_beams, 3) array
+        Covariance of the end points as used by the test [m^2]: xx, xy, yy in the local frame.
+    local_yaw : float
+        Turn of the local frame in the map [rad].
+    match : MatchResult or None
+    innovation_nis : float
+        Normalised innovation squared of the match against the prediction (3 degrees of freedom); NaN if none.
+    tracks : tuple of TrackState
+    node : int or None
+        Index of the graph node added at this scan.
+    events : tuple of str
+        What a person should know: "match failed: ...", "closure 12-340 accepted: ...".
+    closures : tuple of ClosureAttempt
+        Loop closures tried at this scan.
+    stage_ms : mapping
+        Time of each stage [ms]; the whole step under "step".
+    """
+
+    scan: Scan
+    T_map_base: FloatArray
+    cov_map: FloatArray
+    T_map_base_predicted: FloatArray
+    cov_relative: FloatArray
+    anchor_scan: int
+    T_anchor_base: FloatArray
+    cov_anchor_base: FloatArray
+    is_valid: BoolArray
+    is_moving: BoolArray
+    p_moving: FloatArray
+    reason: IntArray
+    packed_cov: FloatArray
+    local_yaw: float
+    match: MatchResult | None
+    innovation_nis: float
+    tracks: tuple[TrackState, ...]
+    node: int | None
+    events: tuple[str, ...]
+    stage_ms: Mapping[str, float]
+    closures: tuple[ClosureAttempt, ...] = ()
+
+    @property
+    def point_cov_map(self) -> FloatArray:
+        """(n_beams, 2, 2) covariance of the end points as used by the test [m^2], map axes."""
+        R = se2.rotation(self.local_yaw)
+        return R @ self.packed_cov[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ R.T
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GridMap:
+    """An occupancy map: `p_occupied` (rows, cols), row 0 the lowest y, NaN where never seen.
+
+    Attributes
+    ----------
+    p_occupied : (rows, cols) array
+    resolution_m : float
+    origin : (2,) array
+        Lower left corner of cell [0, 0] in the map frame [m].
+    """
+
+    p_occupied: FloatArray
+    resolution_m: float
+    origin: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunResult:
+    """The outcome of a whole run, all poses optimised; n scans of at most `beams` beams, m nodes.
+
+    Attributes
+    ----------
+    method : str
+    config : mapping
+        The method's configuration as nested plain values.
+    stamps : (n,) array [s]
+    T_map_base : (n, 3) array
+        Optimised trajectory, in the log's order.
+    T_map_odom_base : (n, 3) array
+        Raw odometry, moved so that it starts where the trajectory does.
+    cov_map : (n, 3, 3) array
+        Covariance of `T_map_base`, right perturbation.
+    is_valid, is_moving, is_moving_online : (n, beams) bool arrays
+        `is_moving` are the final labels; beams that a scan does not have are not valid.
+    p_moving : (n, beams) float16 array
+    moving_points : (m, 2) array [m]
+        All points that move, by the final labels, map frame.
+    tracks : (k, 10) array
+        Columns stamp, id, x, y, vx, vy, var_x, cov_xy, var_y, scan index; map frame.
+    grid : GridMap
+    node_scans : (m,) int array
+        Scan index of each graph node.
+    nodes : (m, 3) array
+        Optimised node poses, map frame.
+    edges : tuple of GraphEdge
+    stage_ms : mapping of str to (n,) arrays
+        "step" is the whole.
+    nis : (n,) array
+        Normalised innovation squared per scan, NaN where there was no match.
+    anchor_scans : (n,) int array
+        The scan that each scan's local map hung on; -1 where there was none.
+    T_anchor_base : (n, 3) array
+        Each scan's pose relative to that scan's, as matched at the time.
+    cov_anchor_base : (n, 3, 3) array
+        Its covariance, right perturbation (body frame).
+    T_world_base : (n, 3) array or None
+        True poses, where the log knows them.
+    n_failed_matches : int
+    n_skipped : int
+    events : tuple of (scan index, text)
+    is_complete : bool
+        False when the run was interrupted.
+    """
+
+    method: str
+    config: Mapping[str, Any]
+    stamps: FloatArray
+    T_map_base: FloatArray
+    T_map_odom_base: FloatArray
+    cov_map: FloatArray
+    is_valid: BoolArray
+    is_moving: BoolArray
+    is_moving_online: BoolArray
+    p_moving: Any
+    moving_points: FloatArray
+    tracks: FloatArray
+    grid: GridMap
+    node_scans: IntArray
+    nodes: FloatArray
+    edges: tuple[GraphEdge, ...]
+    stage_ms: Mapping[str, FloatArray]
+    nis: FloatArray
+    anchor_scans: IntArray
+    T_anchor_base: FloatArray
+    cov_anchor_base: FloatArray
+    T_world_base: FloatArray | None
+    n_failed_matches: int
+    n_skipped: int
+    events: tuple[tuple[int, str], ...] = field(default=())
+    is_complete: bool = True

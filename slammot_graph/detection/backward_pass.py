@@ -1,0 +1,98 @@
+"""Final labels: every scan judged again, at its best pose, with what was seen after it.
+
+The moving-point test runs once more from the last scan to the first. Who stood there when the laser first looked
+and displaced away later is found, since the cells were free afterwards; what was called moving online but was hit by
+static points later is a wall after all, unless it belongs to an object that has displaced.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.detection import reasons
+from slammot_graph.detection.clustering import ClusterConfig
+from slammot_graph.detection.ellipse_test import Detection, EllipseTestConfig, detect_moving
+from slammot_graph.detection.scan_history import ScanRecord
+from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
+from slammot_graph.tracking.tracker import Tracker, TrackerConfig
+
+
+def retrospective_labels(
+    judged: Sequence[ScanRecord],
+    T_map_base: FloatArray,
+    *,
+    grid: GridConfig,
+    window_m: float,
+    motion: EllipseTestConfig,
+    clusters: ClusterConfig,
+    tracks: TrackerConfig,
+) -> list[BoolArray]:
+    """Give the final labels of a run.
+
+    Parameters
+    ----------
+    judged : sequence of n `ScanRecord`
+        In the order of the log.
+    T_map_base : (n, 3) array
+        Optimised poses.
+    grid, window_m, motion, clusters, tracks
+        As of the test at the time.
+
+    Returns
+    -------
+    n bool arrays, one entry a beam.
+    """
+    n = len(judged)
+    memory = OccupancyGrid(grid, window_m=window_m)
+    tracker = Tracker(tracks)
+    last_in_window = _last_in_window(judged)
+    labels: list[BoolArray] = [np.empty(0, dtype=np.bool_)] * n
+    for k in range(n - 1, -1, -1):
+        now = n - 1 - k
+        item, T = judged[k], T_map_base[k]
+        memory.oldest = n - 1 - last_in_window[k]
+        expected = tracker.predicted_positions(-item.scan.stamp)
+        later = detect_moving(
+            item.scan, item.is_valid, T, item.cov_relative, memory, motion, clusters, expected
+        )
+        ends = se2.transform(T, np.vstack([item.scan.laser.origin_base, item.scan.points_base()]))
+        labels[k] = _combine(item, later, _follow(tracker, item, later, ends[1:]))
+        is_static = item.is_valid & ~labels[k]
+        memory.update(now, ends[0], ends[1:], item.is_valid, is_static, labels[k])
+    return labels
+
+
+def _combine(item: ScanRecord, later: Detection, walks_later: BoolArray) -> BoolArray:
+    """Moving if called so then or now; a wall on the other side of time takes back what has not displaced.
+
+    At a pose that no match supports, what was decided at the time stays.
+    """
+    if item.is_doubtful:
+        return item.is_moving
+    before = item.is_moving & ((later.reason != reasons.OCCUPIED) | item.is_displaced)
+    after = later.is_moving & (~item.is_wall | walks_later)
+    return np.asarray(before | after)
+
+
+def _last_in_window(judged: Sequence[ScanRecord]) -> list[int]:
+    """For each scan the last one whose own memory still holds it."""
+    last = list(range(len(judged)))
+    reached = 0
+    for k, item in enumerate(judged):
+        while reached < item.window:
+            last[reached] = max(k - 1, reached)
+            reached += 1
+    for k in range(reached, len(judged)):
+        last[k] = len(judged) - 1
+    return last
+
+
+def _follow(tracker: Tracker, item: ScanRecord, later: Detection, points: FloatArray) -> BoolArray:
+    """Track backward in time; returns the beams on objects that have displaced, less those that were mostly wall."""
+    tracker.update(-item.scan.stamp, *later.clusters(points))
+    is_displaced = np.zeros(len(points), dtype=np.bool_)
+    for track in tracker.displaced():
+        is_displaced[track.beams] = 2 * np.count_nonzero(item.is_wall[track.beams]) <= len(track.beams)
+    return is_displaced

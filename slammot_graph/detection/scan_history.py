@@ -1,0 +1,150 @@
+"""What was decided about each scan of a run, kept small: for the final labels and for the map."""
+
+import struct
+import weakref
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from tempfile import SpooledTemporaryFile
+from typing import overload
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.errors import SlammotError
+from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.detection import _kernels
+
+MOST_IN_MEMORY = 32 << 20
+"""Beyond this [bytes] a temporary file on the disk holds them."""
+
+_HEAD = struct.Struct("=qdqiI?9f")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanRecord:
+    """What was decided about a scan at its time.
+
+    Attributes
+    ----------
+    scan : Scan
+        With its ranges, and without odometry.
+    is_valid, is_moving : (n,) bool arrays
+    is_wall : (n,) bool array
+        Beams that hit an occupied cell.
+    is_displaced : (n,) bool array
+        Beams on tracked objects that have displaced.
+    cov_relative : (3, 3) array
+        Covariance of the matched pose in the test.
+    window : int
+        Number of the scan in the log with which the test's memory began.
+    is_doubtful : bool
+        The scan could not be matched.
+    """
+
+    scan: Scan
+    is_valid: BoolArray
+    is_moving: BoolArray
+    is_wall: BoolArray
+    is_displaced: BoolArray
+    cov_relative: FloatArray
+    window: int
+    is_doubtful: bool
+
+
+class ScanHistory(Sequence[ScanRecord]):
+    """All scans of a run in their order: 5 bytes a beam, on the disk once they are many."""
+
+    def __init__(self) -> None:
+        self._lasers: list[LaserModel] = []
+        self._places = array("q")
+        self._file = SpooledTemporaryFile(max_size=MOST_IN_MEMORY)  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+        self._end = 0
+        self._is_at_end = True
+
+    def append(
+        self,
+        scan: Scan,
+        *,
+        is_valid: BoolArray,
+        is_moving: BoolArray,
+        reason: IntArray,
+        displaced: Sequence[IntArray],
+        cov_relative: FloatArray,
+        window: int,
+        is_doubtful: bool,
+    ) -> None:
+        """Add the next scan of n beams: see `ScanRecord`; `displaced` are the beams of each object that has displaced.
+
+        Raises
+        ------
+        SlammotError
+            The disk is full.
+        """
+        if not self._lasers or self._lasers[-1] is not scan.laser:
+            self._lasers.append(scan.laser)
+        masks = np.empty(len(is_valid), dtype=np.uint8)
+        _kernels.pack_masks(is_valid, is_moving, reason, masks)
+        for beams in displaced:
+            masks[beams] |= 8
+        cov = cov_relative.ravel().tolist()
+        laser = len(self._lasers) - 1
+        head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, *cov)
+        packed = b"".join((head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes()))
+        try:
+            if not self._is_at_end:
+                self._file.seek(self._end)
+                self._is_at_end = True
+            self._file.write(packed)
+        except OSError as error:
+            raise SlammotError(
+                f"the temporary file of the scans cannot be written ({error.strerror or error}); "
+                "free some space, or set TMPDIR to a folder that has some"
+            ) from error
+        self._places.append(self._end)
+        self._end += len(packed)
+
+    @overload
+    def __getitem__(self, k: int) -> ScanRecord: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> list[ScanRecord]: ...
+
+    def __getitem__(self, k: int | slice) -> ScanRecord | list[ScanRecord]:
+        """Unpack one or several; ranges and covariances come back in single precision."""
+        if isinstance(k, slice):
+            return [self._unpack(place) for place in self._places[k]]
+        return self._unpack(self._places[k])
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def close(self) -> None:
+        """Give the temporary file back."""
+        self._file.close()
+
+    def _unpack(self, place: int) -> ScanRecord:
+        self._is_at_end = False
+        self._file.seek(place)
+        index, stamp, window, laser, n, is_doubtful, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
+        ranges = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
+        masks = np.frombuffer(self._file.read(n), dtype=np.uint8)
+        valid, moving, wall, displaced = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8))
+        return ScanRecord(
+            scan=Scan(
+                index=index,
+                stamp=stamp,
+                ranges=ranges,
+                laser=self._lasers[laser],
+                T_odom_base=se2.IDENTITY,
+            ),
+            is_valid=valid,
+            is_moving=moving,
+            is_wall=wall,
+            is_displaced=displaced,
+            cov_relative=np.array(cov).reshape(3, 3),
+            window=window,
+            is_doubtful=is_doubtful,
+        )

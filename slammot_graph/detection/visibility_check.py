@@ -1,0 +1,108 @@
+"""Places where something stood a moment ago and the laser now sees through: whoever stood there has moved.
+
+Free cells cannot tell of a person who walks in the robot's own direction, since he always stands where nobody has
+looked before. But where he stood a moment ago is empty now. (Visibility-based change detection, as Pomerleau et
+al. 2014 do it for maps.)
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.detection import _kernels
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisibilityCheckConfig:
+    """With which earlier scan the present one is compared, and what follows.
+
+    Attributes
+    ----------
+    reach_m : float
+        A beam on unknown cells moves if it ends this near to a place that is empty now; 0: no such test.
+    distance_m, age_s : float
+        The earlier scan was taken at least this way or this time before, whichever is reached first.
+    margin_m : float
+        The laser must see past the place by this much.
+    min_run : int
+        Neighbouring points that must all be gone.
+    """
+
+    reach_m: float = 0.5
+    distance_m: float = 0.3
+    age_s: float = 1.0
+    margin_m: float = 0.15
+    min_run: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("reach_m", "margin_m"):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(f"visibility_check.{name} must not be negative, not {getattr(self, name)}")
+        if not (self.distance_m > 0.0 and self.age_s > 0.0):
+            raise ConfigError("visibility_check.distance_m and visibility_check.age_s must be positive")
+        if self.min_run < 1:
+            raise ConfigError(f"visibility_check.min_run must be at least 1, not {self.min_run}")
+
+
+class _Seen(NamedTuple):
+    """A scan of the last moments: when and where it was taken, and its points, in the local frame."""
+
+    stamp_s: float
+    x: float
+    y: float
+    points: FloatArray
+    is_valid: BoolArray
+
+
+class VisibilityCheck:
+    """Remembers the scans of the last moments."""
+
+    def __init__(self, config: VisibilityCheckConfig) -> None:
+        self.config = config
+        self._seen: deque[_Seen] = deque()
+
+    def remember(
+        self, stamp_s: float, T_local_base: FloatArray, points: FloatArray, is_valid: BoolArray
+    ) -> None:
+        """Take in a scan at its matched pose (3,): its points (n, 2) [m], local frame, and which are returns (n,)."""
+        if self.config.reach_m > 0.0:
+            x, y, _ = T_local_base.tolist()
+            self._seen.append(_Seen(stamp_s, x, y, points, is_valid))
+
+    def vacated(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> FloatArray:
+        """(k, 2) points [m] of an earlier scan that this one, at its pose (3,), sees through; local frame."""
+        x, y = T_local_base[:2].tolist()
+        while len(self._seen) > 1 and self._is_old(self._seen[1], scan.stamp, x, y):
+            self._seen.popleft()
+        if not self._seen or not self._is_old(self._seen[0], scan.stamp, x, y):
+            return np.empty((0, 2))
+        earlier = self._seen[0]
+        laser = scan.laser
+        gone = np.empty_like(earlier.points)
+        n_gone = _kernels.seen_through(
+            earlier.points,
+            earlier.is_valid,
+            T_local_base,
+            laser.origin_base,
+            laser.directions_base,
+            laser.angle_min + laser.T_base_laser[2],
+            laser.angle_increment,
+            scan.ranges,
+            is_valid,
+            self.config.margin_m,
+            self.config.min_run,
+            gone,
+        )
+        return gone[:n_gone]
+
+    def _is_old(self, seen: _Seen, stamp_s: float, x: float, y: float) -> bool:
+        return (
+            math.hypot(x - seen.x, y - seen.y) >= self.config.distance_m
+            or stamp_s - seen.stamp_s >= self.config.age_s
+        )

@@ -1,0 +1,128 @@
+"""What the pipeline asks of a localizer, and what it gets."""
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.linalg import fused
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """A pose in the local frame, which is smooth: no closure makes it jump.
+
+    Attributes
+    ----------
+    T_local_base : (3,) array
+    cov_relative : (3, 3) array
+        Relative to the local map's anchor; for localizers without one, to the previous scan.
+    cov_absolute : (3, 3) array
+        In the map. Both are right perturbations (body frame).
+    T_anchor_base : (3,) array
+        The pose that `cov_relative` is about.
+    anchor_scan : int
+        Index of the anchor's scan; -1 where there is none.
+    """
+
+    T_local_base: FloatArray
+    cov_relative: FloatArray
+    cov_absolute: FloatArray
+    T_anchor_base: FloatArray = field(default_factory=lambda: se2.IDENTITY)
+    anchor_scan: int = -1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FinalEstimate:
+    """The trajectory of n scans and the pose graph of m nodes, as best known now.
+
+    Attributes
+    ----------
+    T_map_base : (n, 3) array
+    cov_map : (n, 3, 3) array
+        Right perturbation (body frame).
+    node_scans : (m,) int array
+        Scan index of each node.
+    nodes : (m, 3) array, map frame
+    edges : tuple of GraphEdge
+    """
+
+    T_map_base: FloatArray
+    cov_map: FloatArray
+    node_scans: IntArray
+    nodes: FloatArray
+    edges: tuple[GraphEdge, ...]
+
+
+class Localizer(Protocol):
+    """Predict, match and commit, in this order, once a scan."""
+
+    @property
+    def n_times_lost(self) -> int:
+        """How often the local frame has lost its place."""
+
+    @property
+    def closures(self) -> tuple[ClosureAttempt, ...]:
+        """Loop closures tried by the last `commit`."""
+
+    @property
+    def T_map_local(self) -> FloatArray:
+        """(3,) where the local frame lies in the map now."""
+
+    def predict(self, scan: Scan) -> Estimate:
+        """Carry the last estimate along the odometry to the new scan."""
+
+    def match(
+        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+    ) -> tuple[Estimate, MatchResult | None]:
+        """Match the static points (n, 2) of the new scan; the prediction comes back where that fails.
+
+        May be called again for the same scan and begins anew then. A robust kernel, if there is one, is made
+        narrower by `kernel_factor`.
+        """
+
+    def commit(
+        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
+    ) -> tuple[int | None, bool, list[str]]:
+        """Keep the scan: in the graph and the local map where it brings something new.
+
+        Returns the number of the node that was added, if any, whether it became a keyframe, and what a person should
+        know.
+        """
+
+    def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
+        """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""
+
+    def final(self) -> FinalEstimate:
+        """Give the whole trajectory, optimised."""
+
+    def close(self) -> None:
+        """Release threads."""
+
+
+def fuse(cov_prior: FloatArray, match: MatchResult) -> FloatArray:
+    """(3, 3) covariance of a prediction and a match taken together, as the next prior counts it: cautious."""
+    return fused(cov_prior, match.graph_information)
+
+
+def refuse(match: MatchResult, T_predicted: FloatArray, reason: str) -> MatchResult:
+    """Call a match failed after all: it tells nothing."""
+    nothing = np.zeros((3, 3))
+    return replace(
+        match,
+        status="failed",
+        information=nothing,
+        graph_information=nothing,
+        cov=1e6 * np.eye(3),
+        nis=np.nan,
+        reason=reason,
+        is_refused=True,
+    )
+
+
+FIRST_COV: FloatArray = 1e-8 * np.eye(3)
+FIRST_COV.setflags(write=False)

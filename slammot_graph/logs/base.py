@@ -1,0 +1,150 @@
+"""The loop that all formats share: judge each record, keep book of those left out, number the rest."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+
+from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
+from slammot_graph.core.types import FloatArray
+from slammot_graph.logs.source import SkippedScan
+
+MAX_STEP_S = 60.0
+"""A longer step between two stamps is worth a warning."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawScan:
+    """A decoded record, usable or not; its fields are those of `Scan`, and `place` that of `SkippedScan`."""
+
+    place: str
+    stamp: float
+    ranges: FloatArray
+    laser: LaserModel
+    T_odom_base: FloatArray
+    truth: ScanTruth | None = None
+
+
+Records: TypeAlias = Generator[RawScan | SkippedScan, None, None]
+
+
+class CheckedLog(ABC):
+    """A `LaserLog` whose format only has to say how its records are decoded.
+
+    Parameters
+    ----------
+    path : Path
+    n_scans : int
+        Scan records in the file.
+    opening_warnings : sequence of str
+        Warnings that hold for every iteration.
+    source : mapping of str
+        What of the file is used, as `source_of` gives it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        n_scans: int,
+        opening_warnings: Sequence[str] = (),
+        source: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.path = path
+        self.n_scans = n_scans
+        self.skipped: list[SkippedScan] = []
+        self.warnings: list[str] = list(opening_warnings)
+        self.source: dict[str, str] = dict(source)
+        self._opening_warnings = tuple(opening_warnings)
+
+    @abstractmethod
+    def _records(self) -> Records:
+        """Decode the file from its start; what cannot be decoded comes as a `SkippedScan`."""
+
+    def __iter__(self) -> Iterator[Scan]:
+        """Usable scans in the file's order.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read any further.
+        """
+        self.skipped = []
+        self.warnings = list(self._opening_warnings)
+        return self._usable_scans(self.skipped, self.warnings)
+
+    def _usable_scans(self, skipped: list[SkippedScan], warnings: list[str]) -> Iterator[Scan]:
+        jumps = _StampJumps()
+        index = 0
+        try:
+            with closing(self._records()) as records:
+                for record in records:
+                    if isinstance(record, SkippedScan):
+                        skipped.append(record)
+                        continue
+                    if reason := _why_unusable(record):
+                        skipped.append(SkippedScan(place=record.place, reason=reason))
+                        continue
+                    jumps.see(record.stamp)
+                    yield Scan(
+                        index=index,
+                        stamp=record.stamp,
+                        ranges=record.ranges,
+                        laser=record.laser,
+                        T_odom_base=record.T_odom_base,
+                        truth=record.truth,
+                    )
+                    index += 1
+        finally:
+            warnings.extend(jumps.warnings())
+
+
+def _why_unusable(record: RawScan) -> str:
+    """Why a record is no scan to work with; empty when it is one."""
+    if not math.isfinite(record.stamp):
+        return "its stamp is not finite"
+    if not all(map(math.isfinite, record.T_odom_base.tolist())):
+        return "its odometry is not finite"
+    if not ((record.ranges > 0.0) & (record.ranges < np.inf)).any():
+        return "no beam has a finite, positive range"
+    return ""
+
+
+def one_line(err: Exception) -> str:
+    """What an exception says, on one line and never empty."""
+    return " ".join(str(err).split()) or type(err).__name__
+
+
+class _StampJumps:
+    """Counts stamps that run backward or leap forward."""
+
+    def __init__(self) -> None:
+        self._previous = math.nan
+        self._backward_steps_s: list[float] = []
+        self._forward_steps_s: list[float] = []
+
+    def see(self, stamp: float) -> None:
+        step = stamp - self._previous
+        self._previous = stamp
+        if step < 0.0:
+            self._backward_steps_s.append(-step)
+        elif step > MAX_STEP_S:
+            self._forward_steps_s.append(step)
+
+    def warnings(self) -> list[str]:
+        notes = []
+        if self._backward_steps_s:
+            n, largest = len(self._backward_steps_s), max(self._backward_steps_s)
+            notes.append(f"stamps run backward {n} times, by up to {largest:.3g} s; the file's order is kept")
+        if self._forward_steps_s:
+            n, largest = len(self._forward_steps_s), max(self._forward_steps_s)
+            notes.append(
+                f"stamps leap forward by more than {MAX_STEP_S:g} s {n} times, by up to {largest:.6g} s"
+            )
+        return notes

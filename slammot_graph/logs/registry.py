@@ -1,0 +1,97 @@
+"""The one door to all formats."""
+
+from pathlib import Path
+
+from slammot_graph.core.errors import InputError
+from slammot_graph.logs.arrays import ArrayLog
+from slammot_graph.logs.carmen import CarmenLog
+from slammot_graph.logs.mounting import check_laser_pose
+from slammot_graph.logs.rosbag import RosbagLog
+from slammot_graph.logs.source import LaserLog
+from slammot_graph.logs.text_lines import read_start
+
+KNOWN_FORMATS = "CARMEN (.log .clf, also .gz .bz2), ROS 1 .bag, ROS 2 bag folder, .db3 or .mcap, or .npz"
+
+BAG_MAGIC = {b"#ROSBAG": ".bag", b"\x89MCAP0": ".mcap", b"SQLite format 3\x00": ".db3"}
+"""First bytes of a bag file and the name's ending that belongs to them."""
+
+NPZ_MAGIC = b"PK\x03\x04"
+
+
+def open_log(
+    path: str | Path,
+    *,
+    scan_topic: str | None = None,
+    odom_topic: str | None = None,
+    laser_pose: tuple[float, float, float] | None = None,
+) -> LaserLog:
+    """Open a log of any known format, told by its first bytes.
+
+    Parameters
+    ----------
+    path : str or Path
+        CARMEN (``.log .clf``, also ``.gz .bz2``), ROS 1 ``.bag``, a ROS 2 bag folder, ``.db3`` or ``.mcap``,
+        or ``.npz``.
+    scan_topic, odom_topic : str, optional
+        Which topics of a bag to use where several would do.
+    laser_pose : (x, y, theta), optional
+        The laser in the robot's base [m, m, rad], counter-clockwise, in place of what the log says.
+
+    Returns
+    -------
+    LaserLog
+
+    Raises
+    ------
+    InputError
+        No such file, an unknown or a damaged one, one without laser or odometry, a topic that is not there.
+    ConfigError
+        The laser pose is not finite.
+    """
+    path = Path(path)
+    check_laser_pose(laser_pose)
+    if _holds_a_bag(path):
+        bag_path = _bag_in_folder(path) if path.is_dir() else path
+        return RosbagLog(bag_path, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
+    if scan_topic is not None or odom_topic is not None:
+        raise InputError(f"{path}: not a bag, so it has no topics; leave out --scan-topic and --odom-topic")
+    start = read_start(path)
+    if start.startswith(NPZ_MAGIC):
+        return ArrayLog(path, laser_pose=laser_pose)
+    if path.suffix in (".npz", *BAG_MAGIC.values()) or b"\x00" in start:
+        what = f"not a {path.suffix} file, whatever its name says" if path.suffix else "of no known format"
+        raise InputError(f"{path}: {what}; known are {KNOWN_FORMATS}")
+    return CarmenLog(path, laser_pose=laser_pose)
+
+
+def _holds_a_bag(path: Path) -> bool:
+    """Whether a path is a folder, or a file that starts as bags do and is named so."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; check the path")
+    if path.is_dir():
+        return True
+    start = read_start(path)
+    if not start:
+        raise InputError(f"{path}: the file is empty; copy or record it again")
+    for magic, suffix in BAG_MAGIC.items():
+        if start.startswith(magic):
+            if path.suffix != suffix:
+                raise InputError(f"{path}: a {suffix} bag by its content; give its name the ending {suffix}")
+            return True
+    return False
+
+
+def _bag_in_folder(path: Path) -> Path:
+    """What to open of a ROS 2 bag folder: the folder, or its only bag file where metadata.yaml is missing."""
+    if (path / "metadata.yaml").exists():
+        return path
+    files = sorted(x for x in path.iterdir() if x.suffix in (".db3", ".mcap"))
+    if len(files) == 1:
+        return files[0]
+    if files:
+        raise InputError(
+            f"{path}: a bag of {len(files)} files without metadata.yaml; mend it with `ros2 bag reindex`"
+        )
+    raise InputError(
+        f"{path}: a folder but no ROS 2 bag (metadata.yaml, .db3 or .mcap); give a log: {KNOWN_FORMATS}"
+    )

@@ -1,0 +1,203 @@
+"""Kernels of the occupancy grid: beams free the cells they cross, end points occupy theirs.
+
+Cells are addressed by global integers (row = floor(y / resolution), column likewise) and stored at
+``(row - row0) & (rows - 1)``; both sides of the storage are powers of two, so that one addressing serves a
+grid that covers a fixed area and one that rolls along with the robot.
+"""
+
+import math
+
+import numpy as np
+
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.types import BoolArray, FloatArray
+
+MAX_APART = 0.7
+"""Two lines nearer than this [cells] leave no cell between them: a line in between frees nothing that they do not."""
+
+FROM_LASER = 32
+"""Every so many beams one frees its cells from the laser on; a power of two."""
+
+
+@kernel
+def update_beams(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    inv_resolution: float,
+    now: int,
+    oldest: int,
+    origin: FloatArray,
+    end_points: FloatArray,
+    is_beam: BoolArray,
+    is_hit: BoolArray,
+    is_soft_hit: BoolArray,
+    l_free: float,
+    l_occupied: float,
+    l_soft: float,
+    fill_gaps: bool,
+    l_min: float,
+    l_max: float,
+) -> None:
+    """Update the grid with one scan: each touched cell once, a hit before a pass.
+
+    A beam frees the cells on its line, and with the beam beside it those between them, so that beams that are
+    farther apart than a cell leave no gaps. Where beams lie closer than cells, some leave theirs to the beams beside
+    them; single cells on the diagonals, or right before an end point, may so be left out.
+
+    `stamp` holds for each cell the number `now` of the last scan that touched it; a cell whose stamp is
+    below `oldest` has expired and counts as never seen.
+    """
+    n = end_points.shape[0]
+    for k in range(n):
+        if is_hit[k]:
+            _add_hit(
+                log_odds,
+                stamp,
+                row0,
+                col0,
+                inv_resolution,
+                now,
+                oldest,
+                end_points[k, 0],
+                end_points[k, 1],
+                l_occupied,
+                l_max,
+            )
+    for k in range(n):
+        if is_soft_hit[k]:
+            _add_hit(
+                log_odds,
+                stamp,
+                row0,
+                col0,
+                inv_resolution,
+                now,
+                oldest,
+                end_points[k, 0],
+                end_points[k, 1],
+                l_soft,
+                l_max,
+            )
+    x0 = origin[0] * inv_resolution
+    y0 = origin[1] * inv_resolution
+    ray = np.empty((n, 3))  # direction and length, in cells; a length of 0 for what frees nothing
+    for k in range(n):
+        dx = end_points[k, 0] * inv_resolution - x0
+        dy = end_points[k, 1] * inv_resolution - y0
+        length = math.sqrt(dx * dx + dy * dy) if is_beam[k] else 0.0
+        ray[k, 0] = dx / length
+        ray[k, 1] = dy / length
+        ray[k, 2] = length
+    for k in range(n):
+        ux = ray[k, 0]
+        uy = ray[k, 1]
+        length = ray[k, 2]
+        if length == 0.0:
+            continue
+        freed = _freed_by_others(ray, k)
+        if length - freed > 0.5:
+            _free_line(
+                log_odds, stamp, row0, col0, now, oldest, x0, y0, ux * length, uy * length,
+                freed / length, 1.0, l_free, l_min,
+            )  # fmt: skip
+        if fill_gaps and k > 0 and ray[k - 1, 2] > 0.0:
+            # beside the beam before: lines in between, from where the two are a cell apart to the shorter one's end
+            reach = min(length, ray[k - 1, 2])
+            cross = abs(ux * ray[k - 1, 1] - uy * ray[k - 1, 0])
+            n_between = int(reach * cross) if cross < 0.1 else 0
+            for m in range(1, n_between + 1):
+                share = m / (n_between + 1)
+                vx = ray[k - 1, 0] * (1.0 - share) + ux * share
+                vy = ray[k - 1, 1] * (1.0 - share) + uy * share
+                start = 1.0 / cross / reach
+                _free_line(
+                    log_odds, stamp, row0, col0, now, oldest, x0, y0, vx * reach, vy * reach,
+                    start, 1.0 - 1.0 / reach, l_free, l_min,
+                )  # fmt: skip
+
+
+@kernel
+def _freed_by_others(ray: FloatArray, k: int) -> float:
+    """How far from the laser [cells] the cells on ray `k` are freed by the rays beside it.
+
+    Near the laser rays lie closer than cells. Every `FROM_LASER`-th ray begins there, the ones halfway between where
+    those are `MAX_APART` from each other, and so on.
+    """
+    apart = 1
+    while k % (2 * apart) == 0 and apart < FROM_LASER:
+        apart *= 2
+    if apart == FROM_LASER or k < apart or k + apart >= ray.shape[0]:
+        return 0.0
+    before = ray[k - apart, 0] * ray[k, 1] - ray[k - apart, 1] * ray[k, 0]
+    after = ray[k, 0] * ray[k + apart, 1] - ray[k, 1] * ray[k + apart, 0]
+    reach = min(ray[k - apart, 2], ray[k + apart, 2])
+    if not (before * after > 0.0 and abs(before + after) < 0.5 and reach > 0.0):
+        return 0.0
+    return float(min(MAX_APART / abs(before + after), reach))
+
+
+@kernel
+def _add_hit(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    inv_resolution: float,
+    now: int,
+    oldest: int,
+    x: float,
+    y: float,
+    l_hit: float,
+    l_max: float,
+) -> None:
+    i = (math.floor(y * inv_resolution) - row0) & (log_odds.shape[0] - 1)
+    j = (math.floor(x * inv_resolution) - col0) & (log_odds.shape[1] - 1)
+    if stamp[i, j] != now:
+        value = log_odds[i, j] if stamp[i, j] >= oldest else np.float32(0.0)
+        log_odds[i, j] = min(value + l_hit, l_max)
+        stamp[i, j] = now
+
+
+@kernel
+def _free_line(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    now: int,
+    oldest: int,
+    x0: float,
+    y0: float,
+    dx: float,
+    dy: float,
+    start: float,
+    end: float,
+    l_free: float,
+    l_min: float,
+) -> None:
+    """Free the cells from share `start` to share `end` of a line, its last cell left out; lengths in cells."""
+    row_mask = log_odds.shape[0] - 1
+    col_mask = log_odds.shape[1] - 1
+    longest = max(abs(dx), abs(dy))
+    zero = np.float32(0.0)
+    l_pass = np.float32(l_free)
+    least = np.float32(l_min)
+    step_x = dx / longest
+    step_y = dy / longest
+    i_end = math.floor(y0 + dy)
+    j_end = math.floor(x0 + dx)
+    for m in range(int(start * longest), int(end * longest) + 1):
+        ig = math.floor(y0 + step_y * m)
+        jg = math.floor(x0 + step_x * m)
+        if ig == i_end and jg == j_end:
+            break
+        i = (ig - row0) & row_mask
+        j = (jg - col0) & col_mask
+        seen = stamp[i, j]
+        before = log_odds[i, j]
+        value = before if seen >= oldest else zero
+        freed = max(value + l_pass, least)
+        log_odds[i, j] = before if seen == now else freed  # no branch: which cells are new is hard to foresee
+        stamp[i, j] = now

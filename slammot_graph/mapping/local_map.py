@@ -1,0 +1,234 @@
+"""The local map: the static points of the latest keyframes, ready for nearest-point queries in constant time."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.linalg import eigh3
+from slammot_graph.core.scan import LaserModel
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.mapping import _local_map_kernels
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalMapConfig:
+    """When a keyframe is taken, how many make a local map, and how its points are thinned.
+
+    Attributes
+    ----------
+    keyframe_distance_m, keyframe_rotation_rad : float
+        Motion since the last keyframe that makes the next one.
+    max_keyframes : int
+        A local map with this many is full and gives way to a new one ...
+    n_overlap : int
+        ... that starts with the latest `n_overlap` keyframes, anchored at the first of them.
+    cell_m, reach_m : float
+        Resolution of the nearest-point field, and how far from a point it reaches.
+    spacing_m : float
+        A point nearer than this to a like one is left out.
+    field_m : float
+        Side of the square after which the field repeats itself; more than twice the laser's range.
+    normal_half_window_rad : float
+        Beams up to this far on either side make a normal; at least 3.
+    normal_max_gap_m : float
+        Largest step between neighbouring points of a line, beside 3 times the beams' distance at that range.
+    normal_max_thickness_m : float
+        Largest root mean square thickness of a line.
+    """
+
+    keyframe_distance_m: float = 0.3
+    keyframe_rotation_rad: float = 0.2
+    max_keyframes: int = 15
+    n_overlap: int = 8
+    cell_m: float = 0.05
+    reach_m: float = 0.4
+    spacing_m: float = 0.05
+    field_m: float = 100.0
+    normal_half_window_rad: float = 0.0525
+    normal_max_gap_m: float = 0.4
+    normal_max_thickness_m: float = 0.04
+
+    def __post_init__(self) -> None:
+        for name in (
+            "keyframe_distance_m",
+            "keyframe_rotation_rad",
+            "cell_m",
+            "reach_m",
+            "spacing_m",
+            "field_m",
+            "normal_half_window_rad",
+            "normal_max_gap_m",
+            "normal_max_thickness_m",
+        ):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"local_map.{name} must be positive, not {getattr(self, name)}")
+        if not 1 <= self.n_overlap < self.max_keyframes:
+            raise ConfigError("local_map needs 1 <= n_overlap < max_keyframes")
+
+
+NO_NODE = -1
+"""In place of the node of a keyframe that is none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Keyframe:
+    """A scan that became part of a local map.
+
+    Attributes
+    ----------
+    node : int
+        Its node in the pose graph, or `NO_NODE`.
+    T_local_base : (3,) array
+        Where the local matching placed it.
+    points_base, normals_base : (m, 2) arrays
+        Static points and their normals towards the laser, base frame; a normal of (0, 0) on no line.
+    laser_base : (2,) array
+        Where the laser was, base frame.
+    """
+
+    node: int
+    T_local_base: FloatArray
+    points_base: FloatArray
+    normals_base: FloatArray
+    laser_base: FloatArray
+
+
+def make_keyframe(
+    node: int,
+    T_local_base: FloatArray,
+    points_base: FloatArray,
+    is_static: BoolArray,
+    laser: LaserModel,
+    config: LocalMapConfig,
+) -> Keyframe:
+    """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on."""
+    normals = np.empty_like(points_base)
+    step_rad = abs(laser.angle_increment)
+    _local_map_kernels.estimate_normals(
+        points_base,
+        is_static,
+        laser.origin_base,
+        max(3, round(config.normal_half_window_rad / step_rad)),
+        config.normal_max_gap_m,
+        3.0 * step_rad,
+        config.normal_max_thickness_m,
+        normals,
+    )
+    return Keyframe(
+        node=node,
+        T_local_base=T_local_base,
+        points_base=points_base[is_static],
+        normals_base=normals[is_static],
+        laser_base=laser.origin_base,
+    )
+
+
+class LocalMap:
+    """Points with normals in the local frame, and for each cell around them the nearest one.
+
+    The field wraps around and is never cleared: a cell holds the running number of a point, and numbers below
+    `first` belong to earlier local maps.
+
+    Attributes
+    ----------
+    keyframes : list of Keyframe
+        The first one is the anchor.
+    points, normals : (capacity, 2) arrays
+        Ring buffers by running number.
+    nearest : (side, side) int32 array
+    owner : (capacity,) int32 array
+        Which of the keyframes a point comes from.
+    T_local_keyframes : (k, 3) array
+    keyframe_roots : (k, 3, 3) array
+        Square roots of the keyframes' covariances relative to the anchor (body frames).
+    first, end : int
+        Running numbers of the current points.
+    """
+
+    CAPACITY = 1 << 16
+
+    def __init__(self, config: LocalMapConfig) -> None:
+        self.config = config
+        self.keyframes: list[Keyframe] = []
+        self.inv_cell = 1.0 / config.cell_m
+        side = 1 << math.ceil(math.log2(config.field_m / config.cell_m))
+        self.points = np.zeros((self.CAPACITY, 2))
+        self.normals = np.zeros((self.CAPACITY, 2))
+        self.nearest = np.full((side, side), -1, dtype=np.int32)
+        self.owner = np.zeros(self.CAPACITY, dtype=np.int32)
+        self.T_local_keyframes = np.empty((0, 3))
+        self.keyframe_roots = np.empty((0, 3, 3))
+        self.first = self.end = 0
+
+    @property
+    def anchor(self) -> Keyframe:
+        """The keyframe that the local map hangs on."""
+        return self.keyframes[0]
+
+    def wants(self, T_local_base: FloatArray) -> bool:
+        """Tell whether the robot has moved enough since the last keyframe, or there is none."""
+        if not self.keyframes:
+            return True
+        distance_m, turn_rad = se2.distance(self.keyframes[-1].T_local_base, T_local_base)
+        return distance_m > self.config.keyframe_distance_m or turn_rad > self.config.keyframe_rotation_rad
+
+    def add(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> tuple[Keyframe, ...]:
+        """Take in a keyframe; the keyframes of the map that this filled, when a new one took over, else none.
+
+        `cov_anchor` (3, 3) is the keyframe's covariance relative to the anchor (body frame); by default zero. Of a map
+        that takes over, give those of its keyframes to `set_covariances`.
+        """
+        self.keyframes.append(keyframe)
+        self._insert(keyframe, cov_anchor)
+        if len(self.keyframes) < self.config.max_keyframes:
+            return ()
+        finished = tuple(self.keyframes)
+        self.start(self.keyframes[-self.config.n_overlap :])
+        return finished
+
+    def start(self, keyframes: list[Keyframe]) -> None:
+        """Begin a new local map from the given keyframes; with none it is empty."""
+        self.keyframes = list(keyframes)
+        self.first = self.end
+        self.T_local_keyframes, self.keyframe_roots = np.empty((0, 3)), np.empty((0, 3, 3))
+        for keyframe in self.keyframes:
+            self._insert(keyframe)
+
+    def set_covariances(self, covs_anchor: FloatArray) -> None:
+        """Set the (k, 3, 3) covariances of the k keyframes relative to the anchor (body frames)."""
+        self.keyframe_roots = np.array([_root(cov) for cov in covs_anchor])
+
+    def current_points(self) -> FloatArray:
+        """(n, 2) points of the local map in the local frame [m]."""
+        return self.points[np.arange(self.first, self.end) % self.CAPACITY]
+
+    def _insert(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> None:
+        T, begin = keyframe.T_local_base, self.end
+        root = np.zeros((3, 3)) if cov_anchor is None else _root(cov_anchor)
+        self.T_local_keyframes = np.vstack([self.T_local_keyframes, T])
+        self.keyframe_roots = np.concatenate([self.keyframe_roots, root[None]])
+        self.end = _local_map_kernels.insert_points(
+            self.points,
+            self.normals,
+            self.nearest,
+            self.inv_cell,
+            self.first,
+            self.end,
+            se2.transform(T, keyframe.points_base),
+            keyframe.normals_base @ se2.rotation(T[2]).T,
+            np.ones(len(keyframe.points_base), dtype=np.bool_),
+            self.config.spacing_m,
+            math.ceil(self.config.reach_m * self.inv_cell),
+        )
+        self.owner[np.arange(begin, self.end) % self.CAPACITY] = len(self.T_local_keyframes) - 1
+
+
+def _root(cov: FloatArray) -> FloatArray:
+    """A (3, 3) matrix whose square is the covariance, which may be zero."""
+    values, vectors = np.empty(3), np.empty((3, 3))
+    eigh3(cov, values, vectors)
+    root: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return root

@@ -1,0 +1,82 @@
+"""R_r: the covariance of an odometry increment, constant as in the paper or growing with the motion."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryNoise:
+    """Standard deviations of an odometry increment, body frame, order (x, y, theta).
+
+    Variances add up: those of a still robot, per metre driven and per radian turned.
+
+    Attributes
+    ----------
+    still_std_m, still_std_rad : float
+        Of each increment, also without motion.
+    std_m_per_sqrt_m, std_rad_per_sqrt_m, std_m_per_sqrt_rad, std_rad_per_sqrt_rad : float
+        Random part; the variance grows in proportion to the way.
+    ratio_m_per_m, ratio_rad_per_rad : float
+        Systematic part (wheel scale): the standard deviation is this share of the increment.
+    """
+
+    still_std_m: float = 0.002
+    still_std_rad: float = 0.002
+    std_m_per_sqrt_m: float = 0.02
+    std_rad_per_sqrt_m: float = 0.04
+    std_m_per_sqrt_rad: float = 0.02
+    std_rad_per_sqrt_rad: float = 0.05
+    ratio_m_per_m: float = 0.05
+    ratio_rad_per_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("still_std_m", "still_std_rad"):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"odometry_noise.{name} must be positive, not {getattr(self, name)}")
+        for name in (
+            "std_m_per_sqrt_m",
+            "std_rad_per_sqrt_m",
+            "std_m_per_sqrt_rad",
+            "std_rad_per_sqrt_rad",
+            "ratio_m_per_m",
+            "ratio_rad_per_rad",
+        ):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(f"odometry_noise.{name} must not be negative, not {getattr(self, name)}")
+
+    def covariance(self, increment: FloatArray) -> FloatArray:
+        """(3, 3) covariance of a (3,) increment [m, m, rad], right perturbation (body frame)."""
+        distance_m, turn_rad = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
+        random_m2 = self.std_m_per_sqrt_m**2 * distance_m + self.std_m_per_sqrt_rad**2 * turn_rad
+        random_rad2 = self.std_rad_per_sqrt_m**2 * distance_m + self.std_rad_per_sqrt_rad**2 * turn_rad
+        var_m2 = self.still_std_m**2 + random_m2 + (self.ratio_m_per_m * distance_m) ** 2
+        var_rad2 = self.still_std_rad**2 + random_rad2 + (self.ratio_rad_per_rad * turn_rad) ** 2
+        return np.array([[var_m2, 0.0, 0.0], [0.0, var_m2, 0.0], [0.0, 0.0, var_rad2]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantNoise:
+    """The paper's R_r = diag(0.1^2, 0.1^2, 0.05^2) [m, m, rad], whatever the motion.
+
+    Attributes
+    ----------
+    x_std_m, y_std_m, theta_std_rad : float
+    """
+
+    x_std_m: float = 0.1
+    y_std_m: float = 0.1
+    theta_std_rad: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (self.x_std_m > 0.0 and self.y_std_m > 0.0 and self.theta_std_rad > 0.0):
+            raise ConfigError("R_r needs positive x_std_m, y_std_m and theta_std_rad")
+
+    def covariance(self, increment: FloatArray) -> FloatArray:
+        """(3, 3) covariance; the (3,) increment does not matter."""
+        del increment
+        return np.diag([self.x_std_m**2, self.y_std_m**2, self.theta_std_rad**2])

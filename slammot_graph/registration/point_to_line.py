@@ -1,0 +1,342 @@
+"""Our match: static points of a scan onto the lines of the local map, robust, started at the prediction."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.linalg import covariance_of, invert
+from slammot_graph.core.results import MatchResult, MatchStatus
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.mapping.local_map import LocalMap
+from slammot_graph.registration import _covariance_kernels, _solve_kernels
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointToLineConfig:
+    """Noise, robustness and stopping of the point-to-line match.
+
+    Attributes
+    ----------
+    residual_std_m : float
+        Standard deviation of one residual as weighed against the prediction: cautious, since a residual may be wrong
+        altogether.
+    floor_std_m : float
+        What no match counts better than in the pose graph, which takes the errors of its factors for independent;
+        added per direction, a rotation counted at the mean distance of the points.
+    noise_ratio : float
+        Standard deviation of the part of a residual that is its own, the beam's noise and its map point's, over the
+        scan's `residual_m`; scans with larger residuals have worse poses, in proportion.
+    line_ratio : float
+        The same of the part that all residuals on one line of the local map share, and with them the next scans.
+    least_residual_m : float
+        A smaller `residual_m` counts as this.
+    line_gap_m : float
+        Pairs that follow each other are on one line if the later one's map point is this near to it.
+    correlated_std_m, correlated_std_rad : float
+        Of what all residuals share, in the pose.
+    kernel_scale_m : float
+        Geman-McClure: a residual of this size gets a quarter of the weight.
+    max_iterations : int
+    min_step_m, min_step_rad : float
+        Stop when a step is smaller than both.
+    min_pairs : int
+    min_inlier_ratio : float
+        Sum of weights over points used, below which the match has failed.
+    weak_ratio : float
+        A direction is weak if its share of the information (scaled to metres, per pair) is below this; it
+        carries none into the graph.
+    max_nis : float
+        A match whose normalised innovation squared is above this is refused, but only while its running mean is
+        above it too: then the match keeps contradicting the odometry, as when most of what the laser sees walks
+        with the robot.
+    fragile_pairs : float
+        A direction that so many pairs determine is known to `kernel_scale_m` only, since they may all be on something
+        that moves; one that twice as many do, to a quarter of that.
+    search_m, search_rad : float
+        A failed match is tried again from starts this far around the prediction.
+    """
+
+    residual_std_m: float = 0.03
+    floor_std_m: float = 0.004
+    noise_ratio: float = 1.25
+    line_ratio: float = 0.2
+    least_residual_m: float = 0.008
+    line_gap_m: float = 0.1
+    correlated_std_m: float = 0.001
+    correlated_std_rad: float = 0.0004
+    kernel_scale_m: float = 0.1
+    max_iterations: int = 20
+    min_step_m: float = 1e-4
+    min_step_rad: float = 1e-5
+    min_pairs: int = 15
+    min_inlier_ratio: float = 0.3
+    weak_ratio: float = 0.01
+    fragile_pairs: float = 2.0
+    max_nis: float = 16.0
+    search_m: float = 0.25
+    search_rad: float = 0.15
+
+    def __post_init__(self) -> None:
+        for name in (
+            "residual_std_m",
+            "noise_ratio",
+            "least_residual_m",
+            "kernel_scale_m",
+            "min_step_m",
+            "min_step_rad",
+            "max_nis",
+        ):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"point_to_line.{name} must be positive, not {getattr(self, name)}")
+        for name in (
+            "floor_std_m",
+            "line_ratio",
+            "line_gap_m",
+            "correlated_std_m",
+            "correlated_std_rad",
+            "weak_ratio",
+            "fragile_pairs",
+            "search_m",
+            "search_rad",
+        ):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(f"point_to_line.{name} must not be negative, not {getattr(self, name)}")
+        if self.max_iterations < 1 or self.min_pairs < 3:
+            raise ConfigError("point_to_line needs max_iterations >= 1 and min_pairs >= 3")
+        if not self.weak_ratio < 0.3:
+            raise ConfigError(f"point_to_line.weak_ratio must be below 0.3, not {self.weak_ratio}")
+        if not 0.0 <= self.min_inlier_ratio < 1.0:
+            raise ConfigError(
+                f"point_to_line.min_inlier_ratio must be in [0, 1), not {self.min_inlier_ratio}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Solution:
+    T: FloatArray
+    H: FloatArray
+    g: FloatArray
+    stats: FloatArray
+    iterations: int
+
+    @property
+    def inlier_ratio(self) -> float:
+        return float(self.stats[2] / max(self.stats[0], 1.0))
+
+
+def match_to_local_map(
+    points_base: FloatArray,
+    is_static: BoolArray,
+    laser_base: FloatArray,
+    local_map: LocalMap,
+    T_local_base: FloatArray,
+    cov_predicted: FloatArray,
+    config: PointToLineConfig,
+    cov_independent: FloatArray | None = None,
+) -> tuple[MatchResult, FloatArray, FloatArray]:
+    """Match a scan onto the local map.
+
+    Parameters
+    ----------
+    points_base : (n, 2) array [m]
+    is_static : (n,) bool array
+        Points to use.
+    laser_base : (2,) array
+        Where they were seen from, base frame [m]: a wall's other side is no partner. NaN: from anywhere.
+    local_map : LocalMap
+    T_local_base : (3,) array
+        Predicted base in the local frame: the start, and the mean of the prior.
+    cov_predicted : (3, 3) array
+        Its covariance (body frame), as the prior counts: cautious. It decides where the match is weak, and only there.
+    cov_independent : (3, 3) array, optional
+        Its covariance relative to the anchor (body frame), without what scans have in common; by default the same.
+
+    Returns
+    -------
+    MatchResult
+        `T_ref_base` is relative to the local map's anchor and free of the prior where the match is well determined.
+    (3,) array
+        The estimate with the prior, base in the local frame; the prediction itself if the match failed.
+    (3, 3) array
+        Its covariance relative to the anchor (body frame), without `MatchResult.cov_correlated`.
+    """
+    prior = invert(cov_predicted)
+    best = _solve(points_base, is_static, laser_base, local_map, T_local_base, T_local_base, prior, config)
+    if best.inlier_ratio < config.min_inlier_ratio or best.stats[1] < config.min_pairs:
+        for start in _starts_around(T_local_base, config):
+            other = _solve(points_base, is_static, laser_base, local_map, start, T_local_base, prior, config)
+            if other.stats[2] > best.stats[2]:
+                best = other
+    if cov_independent is None:
+        cov_independent = cov_predicted
+    return _judge(
+        best,
+        local_map,
+        T_local_base,
+        cov_predicted,
+        cov_independent,
+        points_base,
+        is_static,
+        laser_base,
+        config,
+    )
+
+
+def _solve(
+    points_base: FloatArray,
+    is_static: BoolArray,
+    laser_base: FloatArray,
+    local_map: LocalMap,
+    T_start: FloatArray,
+    T_prior: FloatArray,
+    prior: FloatArray,
+    config: PointToLineConfig,
+) -> _Solution:
+    T, H, g, stats = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(4)
+    iterations = _solve_kernels.match_point_to_line(
+        local_map.points,
+        local_map.normals,
+        local_map.nearest,
+        local_map.inv_cell,
+        local_map.first,
+        points_base,
+        is_static,
+        laser_base,
+        T_start,
+        T_prior,
+        prior,
+        config.residual_std_m,
+        local_map.config.reach_m,
+        config.kernel_scale_m,
+        config.max_iterations,
+        config.min_step_m,
+        config.min_step_rad,
+        T,
+        H,
+        g,
+        stats,
+    )
+    return _Solution(T=T, H=H, g=g, stats=stats, iterations=iterations)
+
+
+def _starts_around(T: FloatArray, config: PointToLineConfig) -> list[FloatArray]:
+    steps = [
+        np.array([x * config.search_m, y * config.search_m, a * config.search_rad])
+        for a in (0.0, -0.5, 0.5, -1.0, 1.0)
+        for x in (0.0, -1.0, 1.0)
+        for y in (0.0, -1.0, 1.0)
+        if x or y or a
+    ]
+    return [se2.compose(T, step) for step in steps]
+
+
+def _judge(
+    solution: _Solution,
+    local_map: LocalMap,
+    T_predicted: FloatArray,
+    cov_predicted: FloatArray,
+    cov_independent_predicted: FloatArray,
+    points_base: FloatArray,
+    is_static: BoolArray,
+    laser_base: FloatArray,
+    config: PointToLineConfig,
+) -> tuple[MatchResult, FloatArray, FloatArray]:
+    """Tell converged, degenerate and failed apart, and give the match its covariance."""
+    _, n_pairs, sum_weights, sum_squares = solution.stats.tolist()
+    residual_m = math.sqrt(sum_squares / max(sum_weights, 1e-9))
+    reason = ""
+    if n_pairs < config.min_pairs:
+        reason = f"only {n_pairs:.0f} points found a partner"
+    elif solution.inlier_ratio < config.min_inlier_ratio:
+        reason = f"only {100 * solution.inlier_ratio:.0f}% of the points agree with the local map"
+    if reason:
+        status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_independent_predicted, np.nan
+        information, graph_information, gain_information, cov_correlated = np.zeros((4, 3, 3))
+        innovation, cov_match = np.zeros(3), covariance_of(information)
+    else:
+        T, T_free, innovation = solution.T, np.empty(3), np.empty(3)
+        white, common, inherited, information, graph_information, gain_information = np.empty((6, 3, 3))
+        cov_independent, cov_correlated, cov_map, cov_match, cov = np.empty((5, 3, 3))
+        _covariance_kernels.residual_scatter(
+            local_map.points,
+            local_map.normals,
+            local_map.nearest,
+            local_map.inv_cell,
+            local_map.first,
+            points_base,
+            is_static,
+            laser_base,
+            T,
+            local_map.config.reach_m**2,
+            config.kernel_scale_m**2,
+            config.line_gap_m,
+            local_map.owner,
+            local_map.T_local_keyframes,
+            local_map.keyframe_roots,
+            white,
+            common,
+            inherited,
+        )
+        n_weak = _covariance_kernels.match_covariance(
+            points_base,
+            is_static,
+            T_predicted,
+            T,
+            solution.H,
+            solution.g,
+            white,
+            common,
+            inherited,
+            n_pairs,
+            config.residual_std_m,
+            config.floor_std_m,
+            config.noise_ratio * max(residual_m, config.least_residual_m),
+            config.line_ratio * max(residual_m, config.least_residual_m),
+            config.correlated_std_m,
+            config.correlated_std_rad,
+            config.kernel_scale_m,
+            config.weak_ratio,
+            config.fragile_pairs,
+            T_free,
+            information,
+            graph_information,
+            gain_information,
+            cov_independent,
+            cov_correlated,
+            cov_map,
+        )
+        status = ("converged", "degenerate", "degenerate", "failed")[n_weak]
+        if n_weak:
+            reason = (
+                "no direction is determined"
+                if n_weak == 3
+                else f"{n_weak} of 3 directions are not determined"
+            )
+        nis = _covariance_kernels.innovate(
+            T_predicted, T_free, cov_predicted, graph_information, information, innovation, cov_match
+        )
+        nis = nis if n_weak < 3 else np.nan
+        _covariance_kernels.fuse(
+            cov_predicted, cov_independent_predicted, gain_information, cov_independent, cov_map, cov
+        )
+    match_status: MatchStatus = status  # type: ignore[assignment]
+    result = MatchResult(
+        status=match_status,
+        T_ref_base=se2.between(local_map.anchor.T_local_base, T_free),
+        innovation=innovation,
+        cov=cov_match,
+        information=information,
+        graph_information=graph_information,
+        hessian_information=gain_information,
+        cov_correlated=cov_correlated,
+        nis=nis,
+        n_iterations=solution.iterations,
+        n_correspondences=int(n_pairs),
+        inlier_ratio=solution.inlier_ratio,
+        residual_m=residual_m,
+        reason=reason,
+    )
+    return result, T, cov

@@ -1,0 +1,114 @@
+"""The paper's match: scan onto scan, point to point, closed form, until d_k - d_(k+1) < tau (eq. 3 to 5)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.linalg import covariance_of
+from slammot_graph.core.results import MatchResult
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.registration import _solve_kernels
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointToPointConfig:
+    """Stopping and pairing of the paper's ICP.
+
+    Attributes
+    ----------
+    tau_m : float
+        Stop when the mean distance of the pairs falls by less than this.
+    max_distance_m : float
+        Pairs farther apart are left out; without a bound, what only one scan sees pulls the pose away.
+    max_iterations : int
+    pair_std_m : float
+        Standard deviation of a pair's distance per axis, for the covariance.
+    """
+
+    tau_m: float = 1e-5
+    max_distance_m: float = 0.5
+    max_iterations: int = 100
+    pair_std_m: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (self.tau_m > 0.0 and self.max_distance_m > 0.0 and self.pair_std_m > 0.0):
+            raise ConfigError("point_to_point.tau_m, max_distance_m and pair_std_m must be positive")
+        if self.max_iterations < 1:
+            raise ConfigError(f"point_to_point.max_iterations must be at least 1, not {self.max_iterations}")
+
+
+def match_scans(
+    reference: FloatArray,
+    is_reference: BoolArray,
+    points: FloatArray,
+    is_used: BoolArray,
+    T_start: FloatArray,
+    config: PointToPointConfig,
+) -> MatchResult:
+    """Match the points of a scan onto those of another.
+
+    Parameters
+    ----------
+    reference : (m, 2) array [m]
+        Points of scan t in its base frame; `is_reference` (m,) tells which to use.
+    points : (n, 2) array [m]
+        Points of scan t+1 in its base frame; `is_used` (n,) tells which to use.
+    T_start : (3,) array
+        Base at t+1 in base at t, predicted.
+
+    Returns
+    -------
+    MatchResult
+        `T_ref_base` is base at t+1 in base at t; "failed" with fewer than 3 pairs.
+    """
+    T, partner, stats = np.empty(3), np.empty(len(points), dtype=np.int64), np.empty(4)
+    iterations = _solve_kernels.match_point_to_point(
+        reference,
+        is_reference,
+        points,
+        is_used,
+        T_start,
+        config.max_distance_m,
+        config.tau_m,
+        config.max_iterations,
+        T,
+        partner,
+        stats,
+    )
+    n_pairs = int(stats[1])
+    if n_pairs < 3:
+        return MatchResult(
+            status="failed",
+            T_ref_base=T_start,
+            innovation=np.zeros(3),
+            cov=1e6 * np.eye(3),
+            information=np.zeros((3, 3)),
+            graph_information=np.zeros((3, 3)),
+            hessian_information=np.zeros((3, 3)),
+            cov_correlated=np.zeros((3, 3)),
+            n_iterations=iterations,
+            n_correspondences=n_pairs,
+            inlier_ratio=n_pairs / max(stats[0], 1.0),
+            residual_m=float("nan"),
+            reason=f"only {n_pairs} points found a partner within {config.max_distance_m} m",
+        )
+    paired = points[partner >= 0]
+    sx, sy = paired.sum(axis=0)
+    H = np.array([[n_pairs, 0.0, -sy], [0.0, n_pairs, sx], [-sy, sx, np.sum(paired**2)]])
+    information = H / config.pair_std_m**2
+    return MatchResult(
+        status="converged",
+        T_ref_base=T,
+        innovation=se2.log(se2.between(T_start, T)),
+        cov=covariance_of(information),
+        information=information,
+        graph_information=information,
+        hessian_information=information,
+        cov_correlated=np.zeros((3, 3)),
+        n_iterations=iterations,
+        n_correspondences=n_pairs,
+        inlier_ratio=n_pairs / max(stats[0], 1.0),
+        residual_m=float(stats[2]),
+    )

@@ -1,0 +1,214 @@
+"""Tracks of moving objects: a constant-velocity Kalman filter each, joined to clusters by global assignment."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking import _kernels as _track_kernels
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerConfig:
+    """Motion and measurement noise of the tracks, and when they begin and end.
+
+    Attributes
+    ----------
+    acceleration_std_m_s2 : float
+        White-noise acceleration of a walking person.
+    centre_std_m : float
+        Of a cluster's centre as a measurement of the person's centre.
+    start_speed_std_m_s : float
+    gate : float
+        Largest squared Mahalanobis distance of a cluster to a track (9.21: 99% for two dimensions).
+    n_confirm : int
+        Clusters needed before a track is reported.
+    max_missed_s : float
+        A track that no cluster confirmed for this long ends.
+    min_way_m : float
+        An object has displaced when it is this far from where it was first seen.
+    """
+
+    acceleration_std_m_s2: float = 1.5
+    centre_std_m: float = 0.12
+    start_speed_std_m_s: float = 1.0
+    gate: float = 9.21
+    n_confirm: int = 3
+    max_missed_s: float = 1.0
+    min_way_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in (
+            "acceleration_std_m_s2",
+            "centre_std_m",
+            "start_speed_std_m_s",
+            "gate",
+            "max_missed_s",
+            "min_way_m",
+        ):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"tracks.{name} must be positive, not {getattr(self, name)}")
+        if self.n_confirm < 1:
+            raise ConfigError(f"tracks.n_confirm must be at least 1, not {self.n_confirm}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """One object: state (x, y, vx, vy) [m, m/s] with its covariance, in the tracker's frame.
+
+    Attributes
+    ----------
+    track_id : int
+    state : (4,) array
+    cov : (4, 4) array
+    start : (2,) array
+        Where it was first seen [m].
+    n_hits : int
+    missed_s : float
+        Time since the last cluster.
+    beams : (k,) int array
+        Beams of the latest scan; empty when the track was only predicted.
+    """
+
+    track_id: int
+    state: FloatArray
+    cov: FloatArray
+    start: FloatArray
+    n_hits: int
+    missed_s: float
+    beams: IntArray
+
+
+class Tracker:
+    """Follows the clusters of moving points from scan to scan."""
+
+    def __init__(self, config: TrackerConfig) -> None:
+        self.config = config
+        self.tracks: list[Track] = []
+        self._stamp_s: float | None = None
+        self._next_id = 0
+        self._centre_cov = config.centre_std_m**2 * np.eye(2)
+
+    def predicted_positions(self, stamp_s: float) -> FloatArray:
+        """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
+        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        states = np.array([track.state for track in self.displaced()]).reshape(-1, 4)
+        return states[:, :2] + dt * states[:, 2:]
+
+    def displaced(self) -> list[Track]:
+        """Confirmed tracks of objects that have displaced."""
+        return [
+            track
+            for track in self.tracks
+            if track.n_hits >= self.config.n_confirm
+            and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_way_m
+        ]
+
+    def update(
+        self,
+        stamp_s: float,
+        centres: FloatArray,
+        centre_covs: FloatArray,
+        beams: Sequence[IntArray],
+        is_proven: BoolArray | None = None,
+    ) -> list[Track]:
+        """Predict to `stamp_s`, join clusters to tracks, begin and end tracks.
+
+        Parameters
+        ----------
+        stamp_s : float
+            A stamp that runs backward counts as no time passed.
+        centres : (k, 2) array [m]
+            Cluster centres, tracker's frame.
+        centre_covs : (k, 2, 2) array [m^2]
+            What the pose's uncertainty adds to `centre_std_m`.
+        beams : k int arrays
+            Beams of each cluster.
+        is_proven : (k,) bool array, optional
+            Clusters with a beam on free cells; the others follow from their track alone, do not begin one, and do
+            not keep one alive. By default all are proven.
+
+        Returns
+        -------
+        Confirmed tracks.
+        """
+        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        self._stamp_s = stamp_s if self._stamp_s is None else max(stamp_s, self._stamp_s)
+        if stamp_s < self._stamp_s - self.config.max_missed_s:
+            self._stamp_s = stamp_s  # the clock was set back for good
+        if not self.tracks and not len(centres):
+            return []
+        proven = [True] * len(centres) if is_proven is None else is_proven.tolist()
+        noise = centre_covs + self._centre_cov
+        states = np.array([track.state for track in self.tracks]).reshape(-1, 4)
+        covs = np.array([track.cov for track in self.tracks]).reshape(-1, 4, 4)
+        _track_kernels.predict(states, covs, dt, self.config.acceleration_std_m_s2)
+        cluster_of = self._assign(states, covs, centres, noise)
+        _track_kernels.correct(states, covs, centres, noise, cluster_of)
+        joined = cluster_of.tolist()
+        followed = [
+            _follow(track, state, cov, dt, beams[c], proven[c])
+            if c >= 0
+            else _follow(track, state, cov, dt, None, False)
+            for track, state, cov, c in zip(self.tracks, states, covs, joined, strict=True)
+        ]
+        kept = [track for track in followed if track.missed_s <= self.config.max_missed_s]
+        begun = [
+            self._begin(centres[c], noise[c], beams[c])
+            for c in range(len(centres))
+            if proven[c] and c not in joined
+        ]
+        self.tracks = kept + begun
+        return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
+
+    def _assign(
+        self, states: FloatArray, covs: FloatArray, centres: FloatArray, noise: FloatArray
+    ) -> IntArray:
+        """(n,) cluster joined to each track, -1 for none: of least total Mahalanobis distance within the gate."""
+        gate = self.config.gate
+        costs = np.empty((len(states), len(centres)))
+        cluster_of = np.empty(len(states), dtype=np.int64)
+        _track_kernels.pair_costs(states, covs, centres, noise, gate, costs)
+        # with a gate as wide as that, a pair within it may cost more than one outside
+        if gate < _track_kernels.OUTSIDE and _track_kernels.join_nearest(costs, cluster_of):
+            return cluster_of
+        from scipy.optimize import linear_sum_assignment  # half a second, not needed before tracks compete
+
+        rows, cols = linear_sum_assignment(costs)
+        is_within = costs[rows, cols] <= gate
+        cluster_of[:] = -1
+        cluster_of[rows[is_within]] = cols[is_within]
+        return cluster_of
+
+    def _begin(self, centre: FloatArray, noise: FloatArray, beams: IntArray) -> Track:
+        cov = np.zeros((4, 4))
+        cov[:2, :2] = noise
+        cov[2, 2] = cov[3, 3] = self.config.start_speed_std_m_s**2
+        self._next_id += 1
+        return Track(
+            track_id=self._next_id - 1,
+            state=np.array([centre[0], centre[1], 0.0, 0.0]),
+            cov=cov,
+            start=centre,
+            n_hits=1,
+            missed_s=0.0,
+            beams=beams,
+        )
+
+
+def _follow(
+    track: Track, state: FloatArray, cov: FloatArray, dt: float, beams: IntArray | None, is_proven: bool
+) -> Track:
+    """Give the track a scan later, `dt` [s], with the beams of the cluster joined to it; None: only predicted."""
+    return Track(
+        track_id=track.track_id,
+        state=state,
+        cov=cov,
+        start=track.start,
+        n_hits=track.n_hits if beams is None else track.n_hits + 1,
+        missed_s=0.0 if is_proven else track.missed_s + dt,
+        beams=np.empty(0, dtype=np.int64) if beams is None else beams,
+    )

@@ -1,0 +1,241 @@
+import numpy as np
+import pytest
+
+from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.scan import Scan
+from slammot_graph.detection import reasons
+from slammot_graph.detection.clustering import ClusterConfig
+from slammot_graph.detection.ellipse_test import (
+    Detection,
+    EllipseTestConfig,
+    detect_moving,
+    end_point_covariances,
+)
+from slammot_graph.detection.reasons import REASONS
+from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
+from tests.rooms import LASER, take_scan
+
+POSE = np.array([2.0, 0.5, 1.9])
+SMALL_COV = np.diag([0.01, 0.01, 0.003]) ** 2
+
+
+def seen_room(window_m: float | None = None) -> OccupancyGrid:
+    """The room, from scans turned little by little: no cell between two beams is left out."""
+    grid = OccupancyGrid(GridConfig(), window_m=window_m)
+    for now in range(30):
+        T = se2.compose(POSE, np.array([0.0, 0.0, 0.002 * (now - 15)]))
+        scan = take_scan(T)
+        origin = se2.transform(T, LASER.origin_base[None])[0]
+        grid.update(now, origin, scan.points(T), scan.is_valid(), scan.is_valid())
+    return grid
+
+
+def detect(
+    scan: Scan, grid: OccupancyGrid, config: EllipseTestConfig, cov: np.ndarray = SMALL_COV
+) -> Detection:
+    return detect_moving(scan, scan.is_valid(), POSE, cov, grid, config, ClusterConfig())
+
+
+@pytest.mark.parametrize("window_m", [None, 40.0])
+def test_a_person_in_free_space_moves_and_walls_do_not(window_m: float | None) -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    found = detect(scan, seen_room(window_m), EllipseTestConfig())
+    assert scan.truth is not None
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)
+    assert found.is_moving.sum() > 5
+    np.testing.assert_array_equal(found.cluster, np.where(found.is_moving, 0, -1))
+    assert found.n_clusters == 1
+    np.testing.assert_array_equal(found.reason == reasons.FREE, found.is_moving)
+    assert (found.reason[~found.is_moving] == reasons.OCCUPIED).mean() > 0.8
+    assert set(found.reason[~found.is_moving]) <= {reasons.OCCUPIED, reasons.UNKNOWN}
+
+
+def test_an_uncertain_pose_calls_nothing_moving() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    found = detect(scan, seen_room(), EllipseTestConfig(), cov=np.diag([2.0, 2.0, 0.5]) ** 2)
+    assert not found.is_moving.any()
+
+
+def test_on_a_grid_never_seen_nothing_moves() -> None:
+    found = detect(take_scan(POSE), OccupancyGrid(GridConfig()), EllipseTestConfig())
+    assert not found.is_moving.any()
+    assert (found.reason == reasons.UNKNOWN).all()
+
+
+def test_beams_without_a_return_are_not_judged() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    assert scan.truth is not None
+    scan.ranges[::3] = [np.nan, np.inf, -np.inf, -1.0, 0.0, 30.0, 1e9] * 8 + [np.nan] * 5
+    found = detect(scan, seen_room(), EllipseTestConfig())
+    assert (found.reason[::3] == reasons.NOT_VALID).all()
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving & scan.is_valid())
+
+
+def test_a_single_beam_is_discarded() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    alone = int(np.flatnonzero(scan.truth.is_moving)[0])  # type: ignore[union-attr]
+    plain = take_scan(POSE)
+    plain.ranges[alone] = scan.ranges[alone]
+    found = detect(plain, seen_room(), EllipseTestConfig())
+    assert not found.is_moving.any()
+    assert found.reason[alone] == reasons.DISCARDED
+
+
+def test_the_test_stands_back_when_too_much_seems_to_move() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    found = detect(scan, seen_room(), EllipseTestConfig(stand_back_share=0.02))
+    assert not found.is_moving.any()
+    assert found.n_clusters == 0
+    assert (found.cluster == -1).all()
+    np.testing.assert_array_equal(found.reason == reasons.STOOD_BACK, scan.truth.is_moving)  # type: ignore[union-attr]
+
+
+PERSON = [1.0, 2.5, 0.25]
+NEVER_SEEN = OccupancyGrid(GridConfig())
+
+
+def detect_expected(
+    scan: Scan, grid: OccupancyGrid, *expected: list[float], track_reach_m: float = 0.5
+) -> Detection:
+    return detect_moving(
+        scan,
+        scan.is_valid(),
+        POSE,
+        SMALL_COV,
+        grid,
+        EllipseTestConfig(track_reach_m=track_reach_m),
+        ClusterConfig(),
+        np.array(expected).reshape(-1, 2),
+    )
+
+
+def test_on_unknown_cells_a_tracked_person_stays_moving_where_he_is_expected() -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    found = detect_expected(scan, NEVER_SEEN, PERSON[:2], [-9.0, 9.0])
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)  # type: ignore[union-attr]
+    assert (found.reason[found.is_moving] == reasons.TRACKED).all()
+    assert (found.reason[~found.is_moving] == reasons.UNKNOWN).all()
+    assert found.n_clusters == 1
+
+
+@pytest.mark.parametrize("place", [[1.0, 1.6], [-0.2, 2.5], [5.0, 5.0]])
+def test_on_unknown_cells_nothing_moves_where_nobody_is_expected(place: list[float]) -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    assert not detect_expected(scan, NEVER_SEEN).is_moving.any()
+    assert not detect_expected(scan, NEVER_SEEN, place).is_moving.any()
+    assert not detect_expected(scan, NEVER_SEEN, PERSON[:2], track_reach_m=0.0).is_moving.any()
+
+
+def test_a_wall_does_not_move_because_somebody_is_expected_before_it() -> None:
+    scan, grid = take_scan(POSE), seen_room()
+    found = detect_expected(scan, grid, [2.0, 4.4], [2.0, -3.9])
+    plain = detect(scan, grid, EllipseTestConfig())
+    is_wall = plain.reason == reasons.OCCUPIED
+    assert is_wall.mean() > 0.8
+    assert not found.is_moving[is_wall].any()
+    np.testing.assert_array_equal(found.reason[is_wall], reasons.OCCUPIED)
+
+
+def test_a_single_beam_moves_where_somebody_is_expected() -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    alone = int(np.flatnonzero(scan.truth.is_moving)[2])  # type: ignore[union-attr]
+    plain, grid = take_scan(POSE), seen_room()
+    plain.ranges[alone] = scan.ranges[alone]
+    assert np.flatnonzero(detect_expected(plain, grid, PERSON[:2]).is_moving).tolist() == [alone]
+    assert not detect_expected(plain, grid, [-2.0, 2.5]).is_moving.any()
+
+
+def test_what_is_too_wide_for_a_person_does_not_move_because_one_is_expected() -> None:
+    scan = take_scan(POSE)
+    found = detect_expected(scan, NEVER_SEEN, [2.0, 4.5], track_reach_m=1.2)  # 2.4 m of the wall
+    assert not found.is_moving.any()
+    assert (found.reason == reasons.DISCARDED).sum() > 10
+
+
+def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:
+    scan = take_scan(POSE, discs=[PERSON])
+    scan.ranges[:5] = np.nan
+    found = detect(scan, seen_room(), EllipseTestConfig())
+    back = found.abstain()
+    assert found.is_moving.sum() > 5
+    assert not back.is_moving.any()
+    np.testing.assert_array_equal(back.reason == reasons.STOOD_BACK, found.is_moving)
+    np.testing.assert_array_equal(back.reason[~found.is_moving], found.reason[~found.is_moving])
+    assert (back.cluster == -1).all()
+    assert back.n_clusters == 0
+    np.testing.assert_array_equal(back.packed_cov, found.packed_cov)
+
+
+@pytest.mark.parametrize(("share", "stands_back"), [(0.9, True), (1.1, False)])
+def test_the_share_of_valid_beams_decides_about_standing_back(share: float, stands_back: bool) -> None:
+    scan, grid = take_scan(POSE, discs=[PERSON]), seen_room()
+    scan.ranges[:40] = np.nan  # only beams with a return count
+    found = detect(scan, grid, EllipseTestConfig())
+    limit = share * found.is_moving.sum() / scan.is_valid().sum()
+    again = detect(scan, grid, EllipseTestConfig(stand_back_share=limit))
+    assert again.is_moving.any() != stands_back
+
+
+def test_without_a_test_nothing_moves() -> None:
+    found = Detection.nothing(np.array([True, False, True]))
+    assert found.is_moving.tolist() == [False, False, False]
+    assert found.reason[1] == reasons.NOT_VALID
+
+
+def test_point_covariances_turn_with_the_pose() -> None:
+    scan, cov = take_scan(POSE), np.diag([0.1, 0.02, 0.03]) ** 2
+    straight = end_point_covariances(scan, np.array([5.0, 5.0, 0.0]), cov, EllipseTestConfig())
+    turned = end_point_covariances(scan, np.array([0.0, 1.0, 0.8]), cov, EllipseTestConfig())
+    R = se2.rotation(0.8)
+    np.testing.assert_allclose(turned, R @ straight @ R.T, atol=1e-12)
+    assert (np.linalg.eigvalsh(turned) > 0.0).all()
+
+
+def test_every_reason_has_a_text() -> None:
+    numbers = {name: number for name, number in vars(reasons).items() if isinstance(number, int)}
+    assert sorted(numbers.values()) == list(range(len(REASONS)))
+    assert len(set(REASONS)) == len(REASONS)
+    assert REASONS[reasons.NOT_VALID] == "no valid return"
+    assert REASONS[reasons.FREE].startswith("moving: ")
+    for number in (
+        reasons.OCCUPIED,
+        reasons.UNKNOWN,
+        reasons.TOO_UNCERTAIN,
+        reasons.DISCARDED,
+        reasons.STOOD_BACK,
+    ):
+        assert REASONS[number].startswith("static: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"range_std_m": 0.0}, "motion.range_std_m and motion.angle_std_rad must be positive"),
+        ({"angle_std_rad": -1.0}, "motion.range_std_m and motion.angle_std_rad must be positive"),
+        ({"n_sigma": 0.0}, "motion.n_sigma must be positive, not 0.0"),
+        ({"max_cells": 0}, "motion.max_cells must be at least 1, not 0"),
+        ({"margin_cells": -1}, "motion.margin_cells must not be negative, not -1"),
+        ({"track_reach_m": -0.1}, "motion.track_reach_m must not be negative, not -0.1"),
+        ({"abstain_nis": 0.0}, "motion.abstain_nis must be positive, not 0.0"),
+        ({"stand_back_share": 0.0}, r"motion.stand_back_share must be in \(0, 1\], not 0.0"),
+        ({"stand_back_share": 1.1}, r"motion.stand_back_share must be in \(0, 1\], not 1.1"),
+    ],
+)
+def test_impossible_tests_are_refused(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        EllipseTestConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_an_error_common_to_the_scan_is_found_by_consensus() -> None:
+    scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
+    assert scan.truth is not None
+    config = EllipseTestConfig(is_common_mode=True)
+    found = detect(scan, seen_room(), config)
+    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)
+    # a yaw error of two standard deviations would flag walls; the sigma points on them outweigh the others
+    turned = se2.compose(POSE, np.array([0.0, 0.0, 0.04]))
+    cov = np.diag([0.01, 0.01, 0.02]) ** 2
+    wrong = detect_moving(scan, scan.is_valid(), turned, cov, seen_room(), config, ClusterConfig())
+    assert (wrong.is_moving & ~scan.truth.is_moving).sum() <= 2
+    assert (wrong.is_moving & scan.truth.is_moving).sum() > 0.7 * scan.truth.is_moving.sum()

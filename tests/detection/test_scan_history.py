@@ -1,0 +1,74 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slammot_graph.core.errors import SlammotError
+from slammot_graph.core.scan import Scan
+from slammot_graph.detection import reasons
+from slammot_graph.detection import scan_history as judgements
+from slammot_graph.detection.scan_history import ScanHistory
+from tests.rooms import take_scan
+
+
+def judged_scans(rng: np.random.Generator, n: int) -> list[dict[str, Any]]:
+    items = []
+    for k in range(n):
+        scan = take_scan(np.array([2.0, 0.5, 0.1 * k]))
+        scan.ranges[::7] = [np.nan, np.inf, 0.0][k % 3]
+        n_beams = len(scan.ranges)
+        items.append(
+            {
+                "scan": Scan(
+                    index=3 + k,
+                    stamp=0.1 * k,
+                    ranges=scan.ranges,
+                    laser=scan.laser,
+                    T_odom_base=scan.T_odom_base,
+                ),
+                "is_valid": rng.random(n_beams) < 0.4,
+                "is_moving": rng.random(n_beams) < 0.4,
+                "reason": rng.integers(0, len(reasons.REASONS), n_beams),
+                "displaced": [np.array([1, 5]), np.array([7])] if k % 2 else [],
+                "cov_relative": np.diag([1e-5, 2e-5, 3e-6]),
+                "window": k // 2,
+                "is_doubtful": k == 3,
+            }
+        )
+    return items
+
+
+@pytest.mark.parametrize("most_in_memory", [1 << 20, 3000])
+def test_what_is_kept_comes_back_as_it_was(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, most_in_memory: int
+) -> None:
+    monkeypatch.setattr(judgements, "MOST_IN_MEMORY", most_in_memory)
+    kept, items = ScanHistory(), judged_scans(rng, 12)
+    for k, item in enumerate(items):
+        kept.append(**item)
+        assert kept[k // 2].scan.index == 3 + k // 2  # reading in between does no harm
+    assert len(kept) == 12
+    for item, back in zip(items, kept, strict=True):
+        np.testing.assert_array_equal(back.is_valid, item["is_valid"])
+        np.testing.assert_array_equal(back.is_moving, item["is_moving"])
+        np.testing.assert_array_equal(back.is_wall, item["reason"] == reasons.OCCUPIED)
+        displaced = [beam for beams in item["displaced"] for beam in beams]
+        np.testing.assert_array_equal(np.flatnonzero(back.is_displaced), displaced)
+        np.testing.assert_allclose(back.scan.ranges, item["scan"].ranges, rtol=1e-6)
+        np.testing.assert_allclose(back.cov_relative, item["cov_relative"], rtol=1e-6)
+        assert (back.window, back.is_doubtful) == (item["window"], item["is_doubtful"])
+        assert (back.scan.index, back.scan.stamp) == (item["scan"].index, item["scan"].stamp)
+        assert back.scan.laser is item["scan"].laser
+    assert [item.window for item in kept[1:3]] == [0, 1]
+    kept.close()
+
+
+def test_a_full_disk_is_told_in_one_line(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = ScanHistory()
+
+    def full(_: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(kept._file, "write", full)
+    with pytest.raises(SlammotError, match=r"No space left on device.*TMPDIR"):
+        kept.append(**judged_scans(rng, 1)[0])

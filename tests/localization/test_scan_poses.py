@@ -1,0 +1,41 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slammot_graph.core import se2
+from slammot_graph.core.types import FloatArray
+from slammot_graph.localization.scan_poses import ScanPoses
+
+
+def random_covs(rng: np.random.Generator, n: int) -> FloatArray:
+    roots = rng.normal(0.0, 0.1, (n, 3, 3))
+    return np.asarray(roots @ np.swapaxes(roots, 1, 2))
+
+
+@given(seed=st.integers(0, 2**32 - 1), n_scans=st.integers(1, 12))
+def test_trajectory_is_that_of_each_scan_on_its_node_and_anchor(seed: int, n_scans: int) -> None:
+    rng = np.random.default_rng(seed)
+    nodes, marginals = rng.normal(0.0, [9.0, 9.0, 2.0], (5, 3)), random_covs(rng, 5)
+    at_node, at_anchor = rng.integers(0, 5, (2, n_scans)).tolist()
+    T_node_base, T_anchor_base = rng.normal(0.0, [3.0, 3.0, 2.0], (2, n_scans, 3))
+    covs = random_covs(rng, n_scans)
+    visits = ScanPoses()
+    for k in range(n_scans):
+        assert len(visits) == k
+        visits.append(at_node[k], T_node_base[k], at_anchor[k], T_anchor_base[k], covs[k])
+    T_map_base, cov_map = visits.trajectory(nodes, marginals)
+    assert T_map_base.shape == (n_scans, 3)
+    assert cov_map.shape == (n_scans, 3, 3)
+    for k in range(n_scans):
+        np.testing.assert_allclose(T_map_base[k], se2.compose(nodes[at_node[k]], T_node_base[k]), atol=1e-12)
+        A = se2.adjoint(se2.inverse(T_anchor_base[k]))
+        np.testing.assert_allclose(cov_map[k], A @ marginals[at_anchor[k]] @ A.T + covs[k], atol=1e-12)
+
+
+def test_what_is_added_is_kept_as_it_was() -> None:
+    visits, T, cov = ScanPoses(), np.array([1.0, 2.0, 0.5]), np.eye(3)
+    visits.append(0, T, 0, T, cov)
+    T[:], cov[:] = 7.0, 7.0
+    T_map_base, cov_map = visits.trajectory(np.zeros((1, 3)), np.zeros((1, 3, 3)))
+    np.testing.assert_array_equal(T_map_base, [[1.0, 2.0, 0.5]])
+    np.testing.assert_array_equal(cov_map, [np.eye(3)])

@@ -1,0 +1,421 @@
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from slammot_graph.core import se2
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.mapping import _local_map_kernels
+from slammot_graph.mapping._local_map_kernels import LINE_FIRST_M2
+from slammot_graph.registration import _solve_kernels
+from slammot_graph.registration._solve_kernels import POINT_WEIGHT
+
+seeds = st.integers(0, 2**32 - 1)
+CELL = 0.0625  # a power of two: shifts by whole cells are exact
+REACH_CELLS = 6
+
+
+def unit(angle: FloatArray) -> FloatArray:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def plain_grazed_normal(points: FloatArray, is_member: BoolArray, k: int, thickness: float) -> FloatArray:
+    """The normal of the chord from beam k - 1 to k + 1, where k lies between the two and near it."""
+    if not (0 < k < len(points) - 1 and is_member[[k - 1, k + 1]].all()):
+        return np.zeros(2)
+    before, after, chord = points[k] - points[k - 1], points[k + 1] - points[k], points[k + 1] - points[k - 1]
+    short, long = sorted(np.linalg.norm([before, after], axis=1))
+    normal = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+    is_between = before @ after > 0.0 and long <= 4.0 * short
+    return normal if is_between and abs(before @ normal) <= 2.0 * thickness else np.zeros(2)
+
+
+def plain_normal(
+    points: FloatArray, is_member: BoolArray, k: int, half: int, gap: float, slope: float, thickness: float
+) -> FloatArray:
+    """The normal of beam k, by walking to both sides and a singular value decomposition."""
+    reach, near = gap + slope * np.linalg.norm(points[k]), [k]
+    for side in (-1, 1):
+        for m in range(k + side, k + side * (half + 1), side):
+            inside = 0 <= m < len(points) and is_member[m]
+            if not inside or np.linalg.norm(points[m] - points[m - side]) > reach:
+                break
+            near.append(m)
+    if not is_member[k]:
+        return np.zeros(2)
+    if len(near) < 3:
+        return plain_grazed_normal(points, is_member, k, thickness)
+    offsets = points[near] - points[near].mean(axis=0)
+    _, sizes, axes = np.linalg.svd(offsets)
+    return axes[1] if sizes[1] <= thickness * np.sqrt(len(near)) else np.zeros(2)
+
+
+@settings(max_examples=30)
+@given(seeds)
+def test_normals_are_those_of_a_singular_value_decomposition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = np.cumsum(rng.uniform(-2.0, 2.0, (4, 2)), axis=0)
+    along = np.linspace(0.0, 2.999, 40)[:, None]
+    i = along[:, 0].astype(int)
+    points = corners[i] + (along - i[:, None]) * (corners[i + 1] - corners[i]) + rng.normal(0, 0.02, (40, 2))
+    is_member = rng.random(40) < 0.9
+    laser, out = rng.uniform(-2.0, 2.0, 2), np.empty((40, 2))
+    _local_map_kernels.estimate_normals(points, is_member, laser, 3, 0.15, 0.02, 0.03, out)
+    expected = np.array([plain_normal(points, is_member, k, 3, 0.15, 0.02, 0.03) for k in range(40)])
+    np.testing.assert_array_equal(out.any(axis=1), expected.any(axis=1))
+    has_normal = out.any(axis=1)
+    np.testing.assert_allclose(np.abs(np.sum(out * expected, axis=1))[has_normal], 1.0, atol=1e-9)
+    assert (np.sum(out * (laser - points), axis=1) >= 0.0).all()
+
+
+def test_normals_of_a_wall_with_a_gap_and_of_a_lone_point() -> None:
+    points = np.array([[x, 2.0] for x in (0.0, 0.1, 0.2, 1.0, 1.1, 1.2, 5.0)])
+    out = np.empty_like(points)
+    for side in (-1.0, 1.0):
+        laser = np.array([0.3, 2.0 + side])
+        _local_map_kernels.estimate_normals(points, np.ones(7, dtype=bool), laser, 3, 0.2, 0.0, 0.01, out)
+        np.testing.assert_allclose(out, [[0.0, side]] * 6 + [[0.0, 0.0]], atol=1e-12)
+
+
+def test_points_on_a_grazed_wall_have_its_normal() -> None:
+    angles = np.deg2rad(np.arange(80.0, 88.5, 1.0))  # 1 m to the right wall, 5.7 to 28.6 m ahead
+    points = np.column_stack([1.0 / np.tan(np.pi / 2 - angles), np.full(len(angles), 1.0)])
+    out = np.empty_like(points)
+    _local_map_kernels.estimate_normals(points, np.ones(9, dtype=bool), np.zeros(2), 3, 0.2, 0.0, 0.02, out)
+    assert (np.diff(points[:, 0]) > 0.5).all()  # each alone within the gap
+    np.testing.assert_allclose(out[1:-1], [[0.0, -1.0]] * 7, atol=1e-12)
+    np.testing.assert_array_equal(out[[0, -1]], 0.0)  # there is but one neighbour
+
+
+@pytest.mark.parametrize(
+    ("middle", "has_normal"),
+    [
+        ([1.0, 0.0], True),
+        ([0.45, 0.0], True),  # a step of four times the other
+        ([0.38, 0.0], False),
+        ([1.0, 0.079], True),  # twice the thickness off the line
+        ([1.0, 0.081], False),
+        ([-0.2, 0.0], False),  # not between the two
+        ([2.2, 0.0], False),
+    ],
+)
+def test_a_lone_point_has_a_normal_only_if_it_lies_between_its_neighbours(
+    middle: list[float], has_normal: bool
+) -> None:
+    points, out = np.array([[0.0, 0.0], middle, [2.0, 0.0]]), np.empty((3, 2))
+    for is_member in ([True, True, True], [True, True, False], [False, True, True]):
+        mask = np.array(is_member)
+        _local_map_kernels.estimate_normals(points, mask, np.array([1.0, -3.0]), 3, 0.1, 0.0, 0.04, out)
+        expected = [0.0, -1.0] if has_normal and mask.all() else [0.0, 0.0]
+        np.testing.assert_allclose(out, [[0.0, 0.0], expected, [0.0, 0.0]], atol=1e-12)
+
+
+@dataclass
+class Field:
+    """A nearest-point field with few cells."""
+
+    side: int = 64
+    capacity: int = 256
+    first: int = 0
+    end: int = 0
+
+    def __post_init__(self) -> None:
+        self.points, self.normals = np.zeros((2, self.capacity, 2))
+        self.nearest = np.full((self.side, self.side), -1, dtype=np.int32)
+
+    def insert(self, points: FloatArray, normals: FloatArray, is_new: BoolArray | None = None) -> None:
+        self.end = _local_map_kernels.insert_points(
+            self.points,
+            self.normals,
+            self.nearest,
+            1.0 / CELL,
+            self.first,
+            self.end,
+            points,
+            normals,
+            np.ones(len(points), dtype=bool) if is_new is None else is_new,
+            0.03,
+            REACH_CELLS,
+        )
+
+    @property
+    def kept(self) -> IntArray:
+        return np.arange(self.first, self.end)
+
+    def lookup(self, points: FloatArray) -> IntArray:
+        i, j = np.floor(points[:, ::-1] / CELL).astype(int).T % self.side
+        return self.nearest[i, j]
+
+
+def cell_centres(half_m: float) -> FloatArray:
+    steps = np.arange(-half_m, half_m, CELL) + CELL / 2
+    return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+
+
+@settings(max_examples=20)
+@given(seeds)
+def test_field_holds_the_true_nearest_of_points_on_lines(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = Field()
+    for _ in range(3):
+        field.insert(rng.uniform(-1.5, 1.5, (8, 2)), unit(rng.uniform(0, np.pi, 8)))
+    centres = cell_centres(1.5)
+    distance, number = cKDTree(field.points[field.kept]).query(centres)
+    within = distance <= REACH_CELLS * CELL
+    stored = field.lookup(centres)
+    assert (stored[within] >= 0).all()
+    np.testing.assert_allclose(
+        np.linalg.norm(field.points[stored[within]] - centres[within], axis=1), distance[within], atol=1e-12
+    )
+    assert (stored[within] == number[within]).mean() > 0.99  # but for ties
+
+
+@settings(max_examples=20)
+@given(seeds)
+def test_field_equals_a_search_of_all_points_with_the_handicap(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = Field()
+    normals = unit(rng.uniform(0, np.pi, 20)) * (rng.random((20, 1)) < 0.5)
+    field.insert(rng.uniform(-1.5, 1.5, (20, 2)), normals)
+    points, centres = field.points[field.kept], cell_centres(1.9375)
+    cost = np.sum((centres[:, None] - points[None]) ** 2, axis=-1)
+    cost += LINE_FIRST_M2 * ~field.normals[field.kept].any(axis=1)
+    cells_apart = np.abs(np.floor(centres[:, None] / CELL) - np.floor(points[None] / CELL)).max(axis=-1)
+    cost[cells_apart > REACH_CELLS] = np.inf
+    stored = field.lookup(centres)
+    np.testing.assert_array_equal(stored >= 0, np.isfinite(cost.min(axis=1)))
+    reached = stored >= 0
+    np.testing.assert_allclose(cost[reached, stored[reached]], cost[reached].min(axis=1), rtol=0, atol=1e-12)
+
+
+def test_a_like_point_close_by_is_left_out_and_a_corner_is_kept() -> None:
+    field = Field()
+    at, up, left = np.array([[0.03, 0.03]]), np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]])
+    near = np.array([0.01, 0.0])
+    field.insert(at, up)
+    field.insert(at + near, up)
+    field.insert(at + near, 0.0 * up)
+    assert field.end == 1
+    field.insert(at + near, left)
+    assert field.end == 2
+    field.insert(at + 3.1 * near, up)
+    assert field.end == 3
+
+
+def test_the_other_side_of_a_thin_wall_is_a_point_of_its_own() -> None:
+    field = Field()
+    at, up = np.array([[0.03, 0.03]]), np.array([[0.0, 1.0]])
+    field.insert(at, up)
+    field.insert(at - [0.0, 0.01], -up)
+    assert field.end == 2
+
+
+def test_points_that_are_not_new_are_not_taken() -> None:
+    field = Field()
+    points = np.column_stack([[0.0, 0.2, 0.4]] * 2)
+    field.insert(points, np.ones((3, 2)), np.array([False, True, False]))
+    np.testing.assert_allclose(field.points[: field.end], [[0.2, 0.2]])
+
+
+def test_field_repeats_itself_after_its_side(rng: np.random.Generator) -> None:
+    here, there = Field(), Field()
+    points, normals = rng.uniform(-1.5, 1.5, (20, 2)), unit(rng.uniform(0, np.pi, 20))
+    here.insert(points, normals)
+    there.insert(points + CELL * np.array([64, -128]), normals)
+    np.testing.assert_array_equal(here.nearest, there.nearest)
+
+
+def test_numbers_below_first_belong_to_an_earlier_map(rng: np.random.Generator) -> None:
+    field, alone = Field(), Field()
+    field.insert(rng.uniform(-1.5, 1.5, (20, 2)), unit(rng.uniform(0, np.pi, 20)))
+    field.first = field.end
+    points, normals = rng.uniform(-1.5, 1.5, (9, 2)), unit(rng.uniform(0, np.pi, 9))
+    field.insert(points, normals)
+    alone.insert(points, normals)
+    stored = np.where(field.nearest >= field.first, field.nearest - field.first, -1)
+    np.testing.assert_array_equal(stored, alone.nearest)
+
+
+def test_a_full_ring_takes_no_more_until_the_next_map() -> None:
+    field = Field(capacity=4)
+    points = np.column_stack([np.arange(6) * 0.2, np.zeros(6)])
+    field.insert(points, np.tile([0.0, 1.0], (6, 1)))
+    assert field.end == 4
+    np.testing.assert_allclose(field.points, points[:4])
+    field.first = field.end
+    field.insert(points[4:], np.tile([0.0, 1.0], (2, 1)))
+    assert field.end == 6
+    np.testing.assert_allclose(field.points[field.kept % 4], points[4:])
+
+
+@settings(max_examples=50)
+@given(seeds)
+def test_solve3_agrees_with_numpy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(3, 3)) * rng.choice([0.1, 1.0, 10.0], 3)[:, None]
+    h, g, out = root @ root.T + 1e-3 * np.eye(3), rng.normal(size=3), np.empty(3)
+    assert _solve_kernels.solve3(h, g, out)
+    np.testing.assert_allclose(h @ out, g, atol=1e-6)
+    np.testing.assert_allclose(out, np.linalg.solve(h, g), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("diagonal", [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, -1.0, 1.0]])
+def test_solve3_refuses_what_is_not_definite(diagonal: list[float]) -> None:
+    assert not _solve_kernels.solve3(np.diag(diagonal), np.ones(3), np.empty(3))
+    assert not _solve_kernels.solve3(np.full((3, 3), np.nan), np.ones(3), np.empty(3))
+    assert not _solve_kernels.solve3(np.ones((3, 3)), np.ones(3), np.empty(3))
+
+
+def accumulated(
+    field: Field, points: FloatArray, laser: FloatArray, T: FloatArray, scale: float = 0.1
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    h, g, stats = np.empty((3, 3)), np.empty(3), np.empty(4)
+    is_used = np.isfinite(points[:, 0])
+    _solve_kernels.accumulate(
+        field.points, field.normals, field.nearest, 1.0 / CELL, field.first, points, is_used, laser, T,
+        0.4**2, scale**2, h, g, stats,
+    )  # fmt: skip
+    return h, g, stats
+
+
+@pytest.mark.parametrize("has_lines", [True, False])
+def test_normal_equations_equal_numeric_derivatives(rng: np.random.Generator, has_lines: bool) -> None:
+    field = Field()
+    normals = unit(rng.uniform(0, np.pi, 25)) * has_lines
+    field.insert(rng.uniform(-1.5, 1.5, (25, 2)), normals)
+    T, scale, laser = np.array([0.2, -0.1, 2.2]), 0.1, np.array([0.5, 0.3])
+    points = se2.transform(se2.inverse(T), rng.uniform(-1.5, 1.5, (40, 2)))
+    points[3] = np.nan
+    h, g, stats = accumulated(field, points, laser, T, scale)
+
+    at_T = se2.transform(T, points)
+    number = np.where(np.isfinite(at_T[:, 0]), field.lookup(np.nan_to_num(at_T)), -1)
+    is_pair = number >= 0
+    is_pair[is_pair] = np.linalg.norm(field.points[number] - at_T, axis=1)[is_pair] <= 0.4
+    to_laser = se2.transform(T, laser[None]) - field.points[number]
+    is_pair &= np.sum(to_laser * field.normals[number], axis=1) >= 0.0  # it sees the face, not the back
+    assert is_pair.sum() < 0.8 * (number >= 0).sum() or not has_lines
+    partner = number[is_pair]
+
+    def residuals(v: FloatArray) -> FloatArray:
+        """(pairs, rows) with the pairs held fast."""
+        moved = se2.transform(se2.compose(T, se2.exp(v)), points[is_pair])
+        offset = moved - field.points[partner]
+        return np.sum(offset * field.normals[partner], axis=1)[:, None] if has_lines else offset
+
+    def cost(v: FloatArray) -> float:
+        r2 = np.sum(residuals(v) ** 2, axis=1)
+        return float(np.sum(scale**2 * r2 / (2.0 * (scale**2 + r2))))
+
+    eps = 1e-6 * np.eye(3)
+    J = np.stack([(residuals(e) - residuals(-e)) / 2e-6 for e in eps], axis=-1)
+    weight = (scale**2 / (scale**2 + np.sum(residuals(np.zeros(3)) ** 2, axis=1))) ** 2
+    share = 1.0 if has_lines else POINT_WEIGHT
+    np.testing.assert_allclose(h, share * np.einsum("k,kri,krj->ij", weight, J, J), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(g, share * np.array([cost(e) - cost(-e) for e in eps]) / 2e-6, atol=1e-6)
+    r2 = np.sum(residuals(np.zeros(3)) ** 2, axis=1)
+    np.testing.assert_allclose(stats, [39, is_pair.sum(), weight.sum(), share * weight @ r2], rtol=1e-9)
+    assert is_pair.sum() > 10
+
+
+def test_no_partners_give_empty_normal_equations() -> None:
+    h, g, stats = accumulated(Field(), np.ones((4, 2)), np.zeros(2), np.zeros(3))
+    assert not h.any() and not g.any()
+    assert stats.tolist() == [4.0, 0.0, 0.0, 0.0]
+
+
+def contour(rng: np.random.Generator, n: int) -> FloatArray:
+    """Points on the outline of an L-shaped room."""
+    corners = np.array([[0, 0], [4, 0], [4, 2], [2, 2], [2, 5], [0, 5], [0, 0]]) - [1.0, 1.5]
+    along = np.sort(rng.uniform(0.0, 6.0, n))
+    i = along.astype(int)
+    return corners[i] + (along - i)[:, None] * (corners[i + 1] - corners[i])
+
+
+def icp(
+    reference: FloatArray,
+    points: FloatArray,
+    start: FloatArray,
+    max_iterations: int = 100,
+    max_distance: float = 0.5,
+    tau: float = 1e-9,
+) -> tuple[FloatArray, IntArray, FloatArray, int]:
+    T, partner, stats = np.empty(3), np.empty(len(points), dtype=np.int64), np.empty(4)
+    iterations = _solve_kernels.match_point_to_point(
+        reference,
+        np.isfinite(reference[:, 0]),
+        points,
+        np.isfinite(points[:, 0]),
+        start,
+        max_distance,
+        tau,
+        max_iterations,
+        T,
+        partner,
+        stats,
+    )
+    return T, partner, stats, iterations
+
+
+@pytest.mark.parametrize("T", [[0.1, -0.08, 0.05], [-0.1, 0.05, -0.06], [0.0, 0.0, 0.0]])
+def test_point_to_point_recovers_a_known_transform(rng: np.random.Generator, T: list[float]) -> None:
+    reference = contour(rng, 300)
+    known = np.array(T)
+    points = se2.transform(se2.inverse(known), reference)
+    found = icp(reference, points, np.zeros(3))[0]
+    np.testing.assert_allclose(found, known, atol=1e-6)
+    backward = icp(points, reference, np.zeros(3))[0]
+    np.testing.assert_allclose(backward, se2.inverse(known), atol=1e-6)
+    shift = np.array([3.0, -7.0, 2.0])
+    shifted = icp(se2.transform(shift, reference), points, se2.compose(shift, known * 0.5))[0]
+    np.testing.assert_allclose(shifted, se2.compose(shift, known), atol=1e-6)
+
+
+def test_point_to_point_pairs_are_those_of_a_tree(rng: np.random.Generator) -> None:
+    reference, points = contour(rng, 80), rng.uniform(-1.0, 3.0, (60, 2))
+    reference[5] = points[7] = np.nan
+    start = np.array([0.2, 0.1, 0.3])
+    _, partner, stats, iterations = icp(reference, points, start, max_iterations=1, max_distance=0.4)
+    finite = np.flatnonzero(np.isfinite(reference[:, 0]))
+    moved = np.nan_to_num(se2.transform(start, points), nan=1e3)
+    distance, number = cKDTree(reference[finite]).query(moved)
+    expected = np.where(distance < 0.4, finite[number], -1)
+    np.testing.assert_array_equal(partner, expected)
+    paired = expected >= 0
+    np.testing.assert_allclose(stats, [59, paired.sum(), *[distance[paired].mean()] * 2])
+    assert iterations == 1
+
+
+def test_point_to_point_step_is_the_least_squares_one(rng: np.random.Generator) -> None:
+    reference, points = contour(rng, 80), contour(rng, 60)
+    T, partner, _, _ = icp(reference, points, np.zeros(3), max_iterations=1)
+    p, q = points[partner >= 0], reference[partner[partner >= 0]]
+    # Kabsch by a singular value decomposition
+    U, _, Vt = np.linalg.svd((p - p.mean(axis=0)).T @ (q - q.mean(axis=0)))
+    R = Vt.T @ np.diag([1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T
+    np.testing.assert_allclose(se2.rotation(T[2]), R, atol=1e-9)
+    np.testing.assert_allclose(T[:2], q.mean(axis=0) - R @ p.mean(axis=0), atol=1e-9)
+
+
+def test_point_to_point_distance_falls_until_tau_stops_it(rng: np.random.Generator) -> None:
+    reference = contour(rng, 200)
+    points = se2.transform(np.array([0.2, -0.1, 0.1]), contour(rng, 150))
+    d = [icp(reference, points, np.zeros(3), k, max_distance=50.0)[2][2] for k in range(1, 15)]
+    assert np.all(np.diff(d) < 1e-3)
+    assert d[-1] < 0.5 * d[0]
+    tau = 0.002
+    expected = 1 + next(k for k, fall in enumerate(-np.diff(d), start=1) if fall < tau)
+    assert icp(reference, points, np.zeros(3), max_distance=50.0, tau=tau)[3] == expected
+
+
+def test_point_to_point_without_partners_stays_at_the_start(rng: np.random.Generator) -> None:
+    start = np.array([50.0, 0.0, 0.1])
+    T, partner, stats, _ = icp(contour(rng, 30), contour(rng, 30), start)
+    np.testing.assert_array_equal(T, start)
+    assert (partner == -1).all()
+    assert stats[1] == 0
+    assert math.isnan(stats[2])
