@@ -27,6 +27,7 @@ from slammot_graph.localization import (
     FinalEstimate,
     Localizer,
     ScanToMap,
+    ScanToMapConfig,
     ScanToScan,
 )
 from slammot_graph.loop_closure.detector import LoopClosureConfig
@@ -448,11 +449,14 @@ def _make_localizer(config: PipelineConfig) -> Localizer:
         return ScanToScan(config.odometry_noise, config.point_to_point)
     return ScanToMap(
         config.odometry_noise,
-        config.local_map,
-        config.point_to_line,
-        config.graph,
-        config.n_lost,
-        config.closure if config.close_loops else None,
+        ScanToMapConfig(
+            n_lost=config.n_lost,
+            close_loops=config.close_loops,
+            local_map=config.local_map,
+            point_to_line=config.point_to_line,
+            graph=config.graph,
+            closure=config.closure,
+        ),
     )
 
 

@@ -2,7 +2,15 @@
 
 from slammot_graph.localization.base import Estimate, FinalEstimate, Localizer
 from slammot_graph.localization.dead_reckoning import DeadReckoning
-from slammot_graph.localization.scan_to_map import ScanToMap
+from slammot_graph.localization.scan_to_map import ScanToMap, ScanToMapConfig
 from slammot_graph.localization.scan_to_scan import ScanToScan
 
-__all__ = ["DeadReckoning", "Estimate", "FinalEstimate", "Localizer", "ScanToMap", "ScanToScan"]
+__all__ = [
+    "DeadReckoning",
+    "Estimate",
+    "FinalEstimate",
+    "Localizer",
+    "ScanToMap",
+    "ScanToMapConfig",
+    "ScanToScan",
+]

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import Event
 from slammot_graph.core.linalg import fused
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
@@ -56,6 +57,30 @@ class FinalEstimate:
     node_scans: IntArray
     nodes: FloatArray
     edges: tuple[GraphEdge, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommitResult:
+    """What keeping a scan brought.
+
+    Attributes
+    ----------
+    node : int or None
+        Number of the graph node that was added.
+    is_keyframe : bool
+        The scan went into the local map.
+    is_lost : bool
+        The localizer has lost its place at this scan: what was remembered before lies elsewhere.
+    closures : tuple of ClosureAttempt
+        Loop closures tried.
+    events : tuple of Event
+    """
+
+    node: int | None = None
+    is_keyframe: bool = False
+    is_lost: bool = False
+    closures: tuple[ClosureAttempt, ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 class Localizer(Protocol):

@@ -1,7 +1,7 @@
 """Our localization: scans matched onto the local map, keyframes joined in the pose graph."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,6 +46,27 @@ class _Prediction:
     doubt: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScanToMapConfig:
+    """Ours: point-to-line matching on a local map, keyframes in a pose graph.
+
+    Attributes
+    ----------
+    n_lost : int
+        After this many failed matches in a row a new local map is started.
+    close_loops : bool
+    local_map, point_to_line, graph, closure
+        Configuration of the parts.
+    """
+
+    n_lost: int = 5
+    close_loops: bool = True
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
+    point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
+    graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
+
+
 class ScanToMap:
     """Point-to-line matching on a local map in front, a pose graph behind.
 
@@ -55,20 +76,16 @@ class ScanToMap:
     def __init__(
         self,
         noise: OdometryNoise | ConstantNoise,
-        local_map: LocalMapConfig,
-        matching: PointToLineConfig,
-        graph: PoseGraphConfig,
-        n_lost: int,
-        closure: LoopClosureConfig | None,
+        config: ScanToMapConfig,
     ) -> None:
         self.noise = noise
-        self.config = matching
-        self.matching = matching
-        self.n_lost = n_lost
-        self.local_map = LocalMap(local_map)
-        self.graph = PoseGraph(graph)
+        self.config = config.point_to_line
+        self.matching = config.point_to_line
+        self.n_lost = config.n_lost
+        self.local_map = LocalMap(config.local_map)
+        self.graph = PoseGraph(config.graph)
         self.local_factors = LocalFactors()
-        self.closer = None if closure is None else LoopCloser(closure, local_map, self.graph)
+        self.closer = LoopCloser(config.closure, config.local_map, self.graph) if config.close_loops else None
         self._n_submaps = 0
         self.n_times_lost = 0
         self._path_m = 0.0

@@ -7,11 +7,9 @@ from slammot_graph.core import se2
 from slammot_graph.core.linalg import is_covariance
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
-from slammot_graph.graph import PoseGraphConfig
-from slammot_graph.localization import Estimate, ScanToMap
+from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.odometry.noise import OdometryNoise
-from slammot_graph.registration.point_to_line import PointToLineConfig
 from tests.rooms import CORRIDOR, carried, covered, drive, errors, truth_from_start
 
 N_LOST = 3
@@ -21,11 +19,9 @@ N_LOST = 3
 def localizer() -> Iterator[ScanToMap]:
     localizer = ScanToMap(
         noise=OdometryNoise(),
-        local_map=LocalMapConfig(max_keyframes=6, n_overlap=3),
-        matching=PointToLineConfig(),
-        graph=PoseGraphConfig(),
-        n_lost=N_LOST,
-        closure=None,
+        config=ScanToMapConfig(
+            n_lost=N_LOST, close_loops=False, local_map=LocalMapConfig(max_keyframes=6, n_overlap=3)
+        ),
     )
     yield localizer
     localizer.close()
