@@ -2,6 +2,7 @@
 
 import sys
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from scipy.optimize import minimize
@@ -11,12 +12,10 @@ from experiments.common import Options, Scores, main, run_cells
 from experiments.reliability import LOGS, N_PEOPLE, N_SCANS, QUICK_SCANS, SCENARIOS
 from experiments.tables import Table, number, write_tables
 from slammot_graph import get_method
-from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import FloatArray
-from slammot_graph.detection import reasons
+from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.detection import probability, reasons
 from slammot_graph.detection.ellipse_test import Detection
 from slammot_graph.detection.probability import NAMES, SHARE_OF_STATIC, WEIGHTS, cluster_evidence
-from slammot_graph.localization import Estimate
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import SimulatedLog, simulate
 
@@ -26,19 +25,20 @@ SHRINK = 1e-3
 N_ROUND = 2
 
 
-class _Watched(Pipeline):
-    """Keeps the evidence of each cluster, and how many beams had which reason."""
+class _Evidence:
+    """Keeps what `cluster_evidence` said of a scan's clusters: one call a scan, none where there are no clusters."""
 
-    def __init__(self, config: PipelineConfig) -> None:
-        super().__init__(config)
-        self.evidence: FloatArray = np.empty((0, len(NAMES)))
-        self.detection: Detection | None = None
+    def __init__(self) -> None:
+        self.forget()
 
-    def _probability(self, scan: Scan, detection: Detection, matched: Estimate, hints: Any) -> FloatArray:
-        points = scan.points(matched.T_local_base)
-        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, hints.predicted_positions)
-        self.detection = detection
-        return super()._probability(scan, detection, matched, hints)
+    def forget(self) -> None:
+        self.evidence: FloatArray = np.empty((0, len(probability.NAMES)))
+        self.cluster: IntArray = np.empty(0, dtype=np.int64)
+
+    def __call__(self, detection: Detection, *arguments: Any) -> FloatArray:
+        self.cluster = detection.cluster
+        self.evidence = cluster_evidence(detection, *arguments)
+        return self.evidence
 
 
 def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: int) -> Scores:
@@ -51,23 +51,28 @@ def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: 
         aside = recorded.is_of_the_log(walkers, reference)
     config = get_method("graph").config
     assert isinstance(config, PipelineConfig)
-    pipeline = _Watched(config)
-    evidence, beams, moving = [], [], []
+    pipeline = Pipeline(config)
+    kept = _Evidence()
+    evidence: list[list[float]] = []
+    beams: list[int] = []
+    moving: list[float] = []
     by_reason = np.zeros((len(reasons.REASONS), 2))
     for scan in walkers:
-        step = pipeline.step(scan)
-        found = pipeline.detection
-        assert found is not None
+        kept.forget()
+        with patch.object(probability, "cluster_evidence", kept):
+            step = pipeline.step(scan)
         is_person = walkers.is_moving[scan.index]
         is_judged = step.is_valid & ~aside[scan.index]
-        is_static = is_judged & ~found.is_moving
-        by_reason[:, 0] += np.bincount(found.reason[is_static], minlength=len(by_reason))
-        by_reason[:, 1] += np.bincount(found.reason[is_static & is_person], minlength=len(by_reason))
-        is_called = is_judged & found.is_moving
-        cluster = found.cluster[is_called]
-        n = np.bincount(cluster, minlength=found.n_clusters)
-        hit = np.bincount(cluster, is_person[is_called], minlength=found.n_clusters)
-        evidence += pipeline.evidence[n > 0].round(3).tolist()
+        is_static = is_judged & ~step.is_moving
+        by_reason[:, 0] += np.bincount(step.reason[is_static], minlength=len(by_reason))
+        by_reason[:, 1] += np.bincount(step.reason[is_static & is_person], minlength=len(by_reason))
+        is_called = is_judged & step.is_moving
+        if not len(kept.evidence):
+            continue
+        cluster = kept.cluster[is_called]
+        n = np.bincount(cluster, minlength=len(kept.evidence))
+        hit = np.bincount(cluster, is_person[is_called], minlength=len(kept.evidence))
+        evidence += kept.evidence[n > 0].round(3).tolist()
         beams += n[n > 0].tolist()
         moving += hit[n > 0].tolist()
     pipeline.close()

@@ -46,3 +46,10 @@ def test_the_fit_finds_the_weights_that_made_the_data(rng: np.random.Generator) 
     found = fit_p_moving.fit(evidence, np.ones(len(evidence)), is_moving.astype(np.float64))
     np.testing.assert_allclose(found, true, atol=0.1)
     assert not np.allclose(found, WEIGHTS, atol=0.1)
+
+
+def test_a_cell_of_the_fit_keeps_the_evidence_of_every_cluster() -> None:
+    found = fit_p_moving.cell("two-walkers", None, None, seed=0, n_scans=0)
+    assert len(found["evidence"]) == len(found["beams"]) == len(found["moving"]) > 100
+    assert np.array(found["evidence"]).shape[1] == len(NAMES)
+    assert sum(found["moving"]) > 0.9 * sum(found["beams"])
