@@ -169,8 +169,8 @@ def _computed(
         for key, cell in cells.items():
             try:
                 yield key, function(**cell)
-            except Exception as error:  # the other cells go on; run_cells reports it
-                yield key, error
+            except Exception as err:  # the other cells go on; run_cells reports it
+                yield key, err
         return
     executor = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
     futures: dict[Future[Scores], str] = {}

@@ -230,14 +230,15 @@ Maker = Callable[[WatchedRun, np.random.Generator], list[Lie]]
 
 
 def _conditions(quick: bool) -> list[tuple[str, Maker]]:
-    conditions: list[tuple[str, Maker]] = [
-        (f"{n} random", lambda truth, rng, n=n: lies_at_random(truth, n, rng)) for n in (10, 30, 60)
-    ]
+    def at_random(n: int) -> Maker:
+        return lambda truth, rng: lies_at_random(truth, n, rng)
+
+    def aliased(distance_m: float) -> Maker:
+        return lambda truth, rng: lies_in_chorus(truth, 15, distance_m, rng)
+
+    conditions: list[tuple[str, Maker]] = [(f"{n} random", at_random(n)) for n in (10, 30, 60)]
     conditions.append(("30 nearby", lambda truth, rng: lies_nearby(truth, 30, rng)))
-    conditions += [
-        (f"15 aliased, {d:g} m", lambda truth, rng, d=d: lies_in_chorus(truth, 15, d, rng))
-        for d in (1.0, 2.0, 3.0)
-    ]
+    conditions += [(f"15 aliased, {d:g} m", aliased(d)) for d in (1.0, 2.0, 3.0)]
     return conditions[:1] + conditions[-1:] if quick else conditions
 
 

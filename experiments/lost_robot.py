@@ -214,8 +214,8 @@ def _jump_row(
     name = log.path.name.split(".")[0]
     try:
         run = run_watched(JumpedLog(log, at, T_jump), max_scans=max_scans)
-    except Exception as error:  # that nothing crashes is what is tested
-        return [name, f"at scan {at}", f"**failed: {error}**", *["-"] * 7]
+    except Exception as err:  # that nothing crashes is what is tested
+        return [name, f"at scan {at}", f"**failed: {err}**", *["-"] * 7]
     error, largest, end = score(run)
     row = [
         name,

@@ -1,6 +1,7 @@
 """What the experiments measure of a run, as plain numbers under names."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -66,17 +67,18 @@ def trajectory_scores(result: RunResult, T_world_base: FloatArray) -> Scores:
     T_world_map = absolute_error(result.T_map_base, T_world_base).T_world_map
     both = (path(T_world_base), path(se2.compose(T_world_map[None, :], result.T_map_base)))
     scores: Scores = {}
-    for name, metric in (
+    metrics_by_name: tuple[tuple[str, Any], ...] = (
         ("ate_m", metrics.APE(metrics.PoseRelation.translation_part)),
         ("rpe_m", _rpe(metrics.PoseRelation.translation_part)),
         ("rpe_deg", _rpe(metrics.PoseRelation.rotation_angle_deg)),
-    ):
+    )
+    for name, metric in metrics_by_name:
         metric.process_data(both)
         scores[name] = float(metric.get_statistic(metrics.StatisticsType.rmse))
     return scores
 
 
-def _rpe(relation: object) -> "object":
+def _rpe(relation: Any) -> Any:
     from evo.core import metrics
 
     return metrics.RPE(relation, delta=RPE_DELTA_M, delta_unit=metrics.Unit.meters, all_pairs=True)

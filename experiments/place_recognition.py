@@ -247,7 +247,8 @@ def disturbed(T: FloatArray, drift_m: float, rng: np.random.Generator) -> FloatA
     """Carry a relative pose off by a distance in a random direction, and turn it by up to 20 degrees."""
     direction = rng.uniform(-np.pi, np.pi)
     turn = rng.uniform(-DRIFT_RAD, DRIFT_RAD)
-    return T + np.array([drift_m * np.cos(direction), drift_m * np.sin(direction), turn])
+    off: FloatArray = T + np.array([drift_m * np.cos(direction), drift_m * np.sin(direction), turn])
+    return off
 
 
 def is_right(answer: Answer, T_true: FloatArray) -> bool:

@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -80,10 +81,11 @@ def person_shares(bag: Path, result: RunResult) -> str:
     with AnyReader([bag]) as reader:
         for connection, _, raw in reader.messages():
             if connection.msgtype.endswith("LaserScan"):
-                stamp = reader.deserialize(raw, connection.msgtype).header.stamp
+                scan_message: Any = reader.deserialize(raw, connection.msgtype)
+                stamp = scan_message.header.stamp
                 last = by_stamp.get(round(stamp.sec + 1e-9 * stamp.nanosec, 6), last)
             elif connection.topic == "/ground_truth_people_tracks" and last is not None:
-                message = reader.deserialize(raw, connection.msgtype)
+                message: Any = reader.deserialize(raw, connection.msgtype)
                 scan = scans[last]
                 place = np.array([[message.pose.position.x, message.pose.position.y]])
                 person = se2.transform(np.array(scan.laser.T_base_laser), place)[0]

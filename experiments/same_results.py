@@ -2,9 +2,9 @@
 
 ``python -m experiments.same_results run --output DIR [--code CHECKOUT]`` runs every method over recorded and simulated
 logs with the code of a checkout (this one if left out);
-``python -m experiments.same_results compare DIR_BEFORE DIR_AFTER`` compares what the runs hand out and prints the files
-that differ. kiss-icp sums in the order in which its threads finish: two runs of one revision differ in the last digits, so
-its files count as equal when all poses agree to 1e-6 m, and its covariances to 1e-6 of the largest.
+``python -m experiments.same_results compare DIR_BEFORE DIR_AFTER`` compares what the runs hand out and prints the
+files that differ. kiss-icp sums in the order in which its threads finish: two runs of one revision differ in the last
+digits, so its files count as equal when all poses agree to 1e-6 m, and its covariances to 1e-6 of the largest.
 """
 
 import filecmp
@@ -113,8 +113,8 @@ def _is_close(path: Path, other: Path) -> bool:
     if path.suffix == ".npz":
         with zipfile.ZipFile(path) as first, zipfile.ZipFile(other) as second:
             return all(first.read(name) == second.read(name) for name in first.namelist())
-    a, b = (np.frombuffer(file.read_bytes(), dtype=np.uint8) for file in (path, other))
-    return a.shape == b.shape and bool(np.mean(a != b) < 1e-3)
+    pixels, others = (np.frombuffer(file.read_bytes(), dtype=np.uint8) for file in (path, other))
+    return pixels.shape == others.shape and bool(np.mean(pixels != others) < 1e-3)
 
 
 def main() -> int:

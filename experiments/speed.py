@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -27,7 +27,7 @@ from experiments.tables import Table, number, write_tables
 from slammot_graph import open_log
 from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.scan import Scan
-from slammot_graph.detection import ellipse_test as ellipse
+from slammot_graph.detection import _cluster_kernels, _kernels
 from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
@@ -52,8 +52,8 @@ GATE_SLACK = 1.25
 BASELINE = ROOT / "experiments" / "baselines" / "speed.json"
 
 KERNELS = {
-    ellipse._kernels: ("test_beams", "seen_through"),
-    ellipse._cluster_kernels: ("group_moving",),
+    _kernels: ("test_beams", "seen_through"),
+    _cluster_kernels: ("group_moving",),
     _solve_kernels: ("match_point_to_line",),
     _covariance_kernels: ("residual_scatter", "match_covariance", "innovate", "fuse"),
     _local_map_kernels: ("estimate_normals", "insert_points"),
@@ -102,7 +102,7 @@ def measure_steps(source: str, n_scans: int, methods: list[str]) -> dict[str, An
     for method in methods:
         _warm_up(method, scans)
     pipelines = {method: make_pipeline(get_method(method).config) for method in methods}
-    took: dict[str, list[dict[str, float]]] = {method: [] for method in methods}
+    took: dict[str, list[Mapping[str, float]]] = {method: [] for method in methods}
     order = list(methods)
     for scan in scans:
         order = [*order[1:], order[0]]  # nobody always follows the same one
@@ -157,7 +157,7 @@ def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
             again.clear()
             step = pipeline.step(replace(scan))
             n_points = int(np.count_nonzero(step.is_valid & ~step.is_moving))
-            touched = int(np.count_nonzero(pipeline.grid.stamp == scan.index))  # type: ignore[union-attr]
+            touched = int(np.count_nonzero(pipeline.grid.stamp == scan.index))
             rows.append(
                 {
                     "step": 1e3 * step.stage_ms["step"] - sum(again.values()),
@@ -169,8 +169,8 @@ def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
             )
         pipeline.close()
     counted = rows[min(N_WARM, len(rows) // 2) :]
-    names = dict.fromkeys(name for row in counted for name in row)
-    us = {name: float(np.median([row.get(name, 0.0) for row in counted])) for name in names}
+    measured = dict.fromkeys(name for row in counted for name in row)
+    us = {name: float(np.median([row.get(name, 0.0) for row in counted])) for name in measured}
     source_mb = np.ones(1 << 23)
     target_mb = np.empty_like(source_mb)
     copies = []
@@ -226,7 +226,7 @@ def _warm_up(method: str, scans: list[Scan]) -> None:
     pipeline.close()
 
 
-def _stage_statistics(took: list[dict[str, float]]) -> dict[str, list[float]]:
+def _stage_statistics(took: list[Mapping[str, float]]) -> dict[str, list[float]]:
     names = dict.fromkeys(name for stages in took for name in stages)
     values = {name: [stages.get(name, 0.0) for stages in took] for name in names}
     return {name: [float(np.median(v)), float(np.percentile(v, 95))] for name, v in values.items()}

@@ -31,6 +31,7 @@ from slammot_graph.detection.ellipse_test import detect_moving, end_point_covari
 from slammot_graph.detection.reasons import REASONS
 from slammot_graph.evaluation import evaluate_points, pose_errors, relative_error
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
+from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.registration.point_to_point import match_scans
 from slammot_graph.simulation import simulate
 
@@ -39,6 +40,7 @@ from experiments.figures import COLORS, SIGMAS_95, draw_ellipses, draw_map, view
 from experiments.paper import draw_map_panel, draw_walker_panel, shown
 
 config = get_method("docpfo").config
+assert isinstance(config, PipelineConfig)
 log = simulate("two-walkers", seed=0)
 scans = list(log)
 shown_scan = 111  # the one to look at closely
@@ -169,12 +171,14 @@ plt.show()
 # motion.
 
 # %%
-errors_m = {"all points": [], "without people (true labels)": []}
+errors_m: dict[str, list[float]] = {"all points": [], "without people (true labels)": []}
 for before, after in pairwise(scans):
     start = se2.between(before.T_odom_base, after.T_odom_base)
-    motion = se2.between(before.truth.T_world_base, after.truth.T_world_base)
+    motion = se2.between(log.T_world_base[before.index], log.T_world_base[after.index])
     for name, values in errors_m.items():
-        use = [s.is_valid() & ~(s.truth.is_moving & (name != "all points")) for s in (before, after)]
+        use = [s.is_valid() for s in (before, after)]
+        if name != "all points":
+            use = [mask & ~log.is_moving[s.index] for mask, s in zip(use, (before, after), strict=True)]
         match = match_scans(
             before.points_base(), use[0], after.points_base(), use[1], start, config.point_to_point
         )

@@ -31,6 +31,7 @@ import numpy as np
 
 from slammot_graph import Run, get_method
 from slammot_graph.evaluation import evaluate_points
+from slammot_graph.pipeline import PipelineConfig, TestCovariance
 from slammot_graph.simulation import simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder
@@ -57,10 +58,16 @@ print(f"{log.n_scans} scans over {path_m[-1]:.0f} m, {log.objects.shape[1]} peop
 
 # %%
 shown_scan = 1175
-METHODS = {"relative": "graph", "constant": "graph-fixed", "absolute": "graph-absolute"}
+METHODS: dict[TestCovariance, str] = {
+    "relative": "graph",
+    "constant": "graph-fixed",
+    "absolute": "graph-absolute",
+}
 runs, steps = {}, {}
+plain = get_method("graph-noloop").config
+assert isinstance(plain, PipelineConfig)
 for test_covariance in METHODS:
-    config = replace(get_method("graph-noloop").config, test_covariance=test_covariance)
+    config = replace(plain, test_covariance=test_covariance)
     runs[test_covariance] = Run(log, "graph-noloop", config=config)
     steps[test_covariance] = list(runs[test_covariance])
 

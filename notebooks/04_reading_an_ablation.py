@@ -19,14 +19,16 @@
 
 # %%
 import sys
+from collections.abc import Callable
 
 import matplotlib.pyplot as plt
 import numpy as np
-from IPython.display import Markdown
+from IPython.display import Markdown, display
 
 from slammot_graph import Run
+from slammot_graph.core.results import RunResult
 from slammot_graph.evaluation import absolute_error, evaluate_points, relative_error
-from slammot_graph.simulation import simulate
+from slammot_graph.simulation import SimulatedLog, simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder
 from experiments.common import ROOT
@@ -42,20 +44,20 @@ from experiments.tables import Table, bootstrap_median, holm, median_interval, p
 # %%
 SEEDS = range(8)
 METHODS = ("graph", "graph-fixed")
-FIGURES = {
+FIGURES: dict[str, Callable[[RunResult, SimulatedLog], float]] = {
     "ATE [mm]": lambda r, log: 1e3 * absolute_error(r.T_map_base, log.T_world_base).translation_m.rmse,
     "RPE over 1 m [mm]": lambda r, log: (
         1e3 * relative_error(r.T_map_base, log.T_world_base, delta=1.0, unit="m").translation_m.rmse
     ),
     "point IoU": lambda r, log: evaluate_points(r.is_moving, log.is_moving, r.is_valid).iou,
 }
-scores = {(method, figure): [] for method in METHODS for figure in FIGURES}
+scores: dict[tuple[str, str], list[float]] = {(method, name): [] for method in METHODS for name in FIGURES}
 for seed in SEEDS:
     log = simulate("two-walkers", seed=seed)
     for method in METHODS:
         result = Run(log, method).complete()
-        for figure, measure in FIGURES.items():
-            scores[method, figure].append(measure(result, log))
+        for name, measure in FIGURES.items():
+            scores[method, name].append(measure(result, log))
 
 # %% [markdown]
 # Each line below is one log, from one method to the other. The lines start at different heights: some logs are harder
@@ -81,10 +83,10 @@ plt.show()
 # lower value: good for an error, bad for the IoU.
 
 # %%
-differences = {name: np.subtract(*(scores[method, name] for method in METHODS)) for name in FIGURES}
+differences = {name: np.subtract(scores["graph", name], scores["graph-fixed", name]) for name in FIGURES}
 figure, axes = plt.subplots(1, 3, figsize=(11, 2.9), layout="constrained")
 for panel, (name, values) in zip(axes, differences.items(), strict=True):
-    median, low, high = bootstrap_median(values)
+    median, low, high = bootstrap_median(values.tolist())
     panel.plot(values, np.linspace(0.2, 0.5, len(values)), "o", color="0.5", label="a pair")
     panel.errorbar(
         median, 0.8, xerr=[[median - low], [high - median]], fmt="s", capsize=4, label="median, 95%"
@@ -118,7 +120,8 @@ rows = [
     ]
     for name in FIGURES
 ]
-Markdown(Table(heading="Our small table", columns=["", *METHODS, "p", "p, Holm"], rows=rows).markdown())
+table = Table(heading="Our small table", columns=["", *METHODS, "p", "p, Holm"], rows=rows)
+display(Markdown(table.markdown()))  # type: ignore[no-untyped-call]
 
 # %%
 n_seeds = np.arange(3, 21)
@@ -139,8 +142,8 @@ plt.show()
 # %%
 text = (ROOT / "experiments" / "tables" / "ablation.md").read_text(encoding="utf-8")
 section = text[text.index("## two-walkers") :].split("\n## ")[0].splitlines()
-rows = [line for line in section if line.startswith(("| method |", "| :--", "| graph |", "| graph-fixed |"))]
-Markdown("\n".join(rows))
+lines = [line for line in section if line.startswith(("| method |", "| :--", "| graph |", "| graph-fixed |"))]
+display(Markdown("\n".join(lines)))  # type: ignore[no-untyped-call]
 
 # %% [markdown]
 # ## How to read it

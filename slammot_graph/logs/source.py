@@ -32,8 +32,6 @@ class LaserLog(Protocol):
     Attributes
     ----------
     path : Path
-    n_scans : int
-        Scan records in the file, usable or not; known without a full decode.
     skipped : list of SkippedScan
         The scans left out so far.
     warnings : list of str
@@ -44,9 +42,12 @@ class LaserLog(Protocol):
     """
 
     path: Path
-    n_scans: int
     skipped: list[SkippedScan]
     warnings: list[str]
+
+    @property
+    def n_scans(self) -> int:
+        """Scan records in the file, usable or not; known without a full decode."""
 
     def __iter__(self) -> Iterator[Scan]: ...
 

@@ -1,5 +1,6 @@
 """The comparison of two ways of recognising places: quick mode, and its parts on made figures."""
 
+import importlib
 import math
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def test_without_the_package_there_is_a_clear_error(
     def missing(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr(place_recognition.importlib, "import_module", missing)
+    monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(InputError, match="pip install"):
         place_recognition.map_closures()
     assert main(place_recognition.experiment, ["--quick", "--output", str(tmp_path)]) == 2
