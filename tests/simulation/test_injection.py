@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -157,10 +158,11 @@ def test_scans_of_another_laser_are_left_out(reference: FloatArray) -> None:
 @pytest.mark.parametrize("n", [0, 119, 121])
 def test_a_trajectory_of_another_length_is_refused(recorded: ListLog, n: int) -> None:
     text = f"list.log: the reference trajectory has {n} poses, the log 120 usable scans"
-    for call in (
+    calls: tuple[Callable[[FloatArray], SimulatedLog], ...] = (
         lambda T: inject(recorded, T, n_people=1, seed=0),
         lambda T: inject_along(recorded, T, share=0.2, seed=0),
-    ):
+    )
+    for call in calls:
         with pytest.raises(InputError, match=text):
             call(np.zeros((n, 3)))
     with pytest.raises(InputError, match="has 30 poses, the log 40 usable scans"):

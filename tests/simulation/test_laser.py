@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,7 +123,7 @@ def test_a_laser_on_a_wall_sees_the_others() -> None:
     assert ranges[0, 1] in (0.0, np.inf)
 
 
-def perfect(**changes: float) -> SimulatedLaser:
+def perfect(**changes: Any) -> SimulatedLaser:
     plain = replace(LMS200, noise_std_m=0.0, resolution_m=0.0, dropout_probability=0.0, mixed_probability=0.0)
     return replace(plain, **changes)
 

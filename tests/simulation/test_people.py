@@ -9,13 +9,13 @@ from slammot_graph.simulation.people import HALF_HIP_M, LEG_RADIUS_M, STRIDE_M, 
 from tests.rooms import ROOM, box, wall_distance
 
 ROOM_SPACE = free_space_of_segments(ROOM, np.array([2.0, 0.0]))
-STAMPS = 0.1 * np.arange(300)
+STAMPS: FloatArray = 0.1 * np.arange(300.0)
 STILL_ROBOT = np.tile([2.0, 0.0, 0.0], (300, 1))
 
 
 def straight(speed: float, heading: float, n: int = 120) -> tuple[FloatArray, FloatArray]:
     """One person (n, 1, 4) who walks straight on, and the stamps."""
-    stamps, v = 0.05 * np.arange(n), speed * np.array([np.cos(heading), np.sin(heading)])
+    stamps, v = 0.05 * np.arange(float(n)), speed * np.array([np.cos(heading), np.sin(heading)])
     return np.column_stack([[1.0, -2.0] + stamps[:, None] * v, np.tile(v, (n, 1))])[:, None], stamps
 
 
@@ -111,7 +111,7 @@ def test_pauses_are_made_with_their_probability_and_length() -> None:
 def test_who_is_left_behind_goes_away_and_comes_back_near() -> None:
     hall = free_space_of_segments(box(0, 0, 60, 8), np.array([2.0, 4.0]))
     robot = np.column_stack([np.linspace(2.0, 58.0, 600), np.full(600, 4.0), np.zeros(600)])
-    stamps, config = 0.1 * np.arange(600), PeopleConfig(speed_max_m_s=0.6)
+    stamps, config = 0.1 * np.arange(600.0), PeopleConfig(speed_max_m_s=0.6)
     people = walk(hall, stamps, robot, 3, config, np.random.default_rng(0))
     is_away = np.isnan(people[:, :, 0])
     assert is_away.any(axis=0).all()
