@@ -25,10 +25,7 @@ def test_quantiles_agree_with_scipy() -> None:
 @pytest.mark.parametrize(("n", "lower", "upper"), [(50, 2.36, 3.72), (100, 2.54, 3.50)])
 def test_bounds_of_three_degrees_of_freedom(n: int, lower: float, upper: float) -> None:
     average = average_nees(np.full(n, 3.0), dof=3)
-    assert (average.lower, average.upper) == (
-        pytest.approx(lower, abs=0.005),
-        pytest.approx(upper, abs=0.005),
-    )
+    assert (average.lower, average.upper) == pytest.approx((lower, upper), abs=0.005)
     assert average.is_consistent
     correlated = average_nees(np.full((n, 7), 3.0), dof=3, n_independent=n)
     assert (correlated.n, correlated.lower) == (7 * n, average.lower)

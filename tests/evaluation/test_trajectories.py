@@ -103,7 +103,7 @@ def test_nothing_to_compare_is_nan(n: int) -> None:
     poses = np.zeros((n, 3))
     assert absolute_error(poses, poses).translation_m.n == n
     for unit in ("steps", "m"):
-        error = relative_error(poses, poses, delta=1, unit=unit)  # type: ignore[arg-type]
+        error = relative_error(poses, poses, delta=1, unit=unit)
         assert error.translation_m.n == 0
         assert np.isnan(error.translation_m.rmse)
 
