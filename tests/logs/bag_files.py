@@ -55,10 +55,15 @@ def with_covariance(pose: Part) -> Part:
 
 
 def scan(
-    stamp: float, ranges: Sequence[float] = (1.0, 2.0, 3.0), *, lag: float = 0.05, topic="/scan", **changes
-):
+    stamp: float,
+    ranges: Sequence[float] = (1.0, 2.0, 3.0),
+    *,
+    lag: float = 0.05,
+    topic: str = "/scan",
+    **changes: Any,
+) -> Sent:
     n = len(ranges)
-    fields = {
+    fields: dict[str, Any] = {
         "header": header(stamp, changes.pop("frame", "laser")),
         "angle_min": -0.5,
         "angle_max": -0.5 + 0.25 * (n - 1),
@@ -73,7 +78,9 @@ def scan(
     return Sent(topic, stamp + lag, "sensor_msgs/msg/LaserScan", {**fields, **changes})
 
 
-def odometry(stamp: float, pose: Sequence[float], *, lag=0.002, topic="/odom", child="base_link"):
+def odometry(
+    stamp: float, pose: Sequence[float], *, lag: float = 0.002, topic: str = "/odom", child: str = "base_link"
+) -> Sent:
     zero = Part("geometry_msgs/msg/Vector3", {"x": 0.0, "y": 0.0, "z": 0.0})
     twist = Part("geometry_msgs/msg/Twist", {"linear": zero, "angular": zero})
     fields = {
@@ -85,17 +92,25 @@ def odometry(stamp: float, pose: Sequence[float], *, lag=0.002, topic="/odom", c
     return Sent(topic, stamp + lag, "nav_msgs/msg/Odometry", fields)
 
 
-def pose_stamped(stamp: float, pose: Sequence[float], *, topic: str = "/pose"):
+def pose_stamped(stamp: float, pose: Sequence[float], *, topic: str = "/pose") -> Sent:
     fields = {"header": header(stamp, "map"), "pose": pose_part(*pose)}
     return Sent(topic, stamp + 0.002, "geometry_msgs/msg/PoseStamped", fields)
 
 
-def pose_with_covariance(stamp: float, pose: Sequence[float], *, topic: str = "/pose"):
+def pose_with_covariance(stamp: float, pose: Sequence[float], *, topic: str = "/pose") -> Sent:
     fields = {"header": header(stamp, "map"), "pose": with_covariance(pose_part(*pose))}
     return Sent(topic, stamp + 0.002, "geometry_msgs/msg/PoseWithCovarianceStamped", fields)
 
 
-def transform(stamp, parent, child, pose, *, roll=0.0, topic="/tf_static"):
+def transform(
+    stamp: float,
+    parent: str,
+    child: str,
+    pose: Sequence[float],
+    *,
+    roll: float = 0.0,
+    topic: str = "/tf_static",
+) -> Sent:
     x, y, theta = pose
     translation = Part("geometry_msgs/msg/Vector3", {"x": x, "y": y, "z": 0.2})
     rigid = Part(

@@ -1,3 +1,6 @@
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -6,7 +9,7 @@ from slammot_graph.logs import open_log, source_of, write_npz_log
 from tests.logs.compare import assert_same_scans
 
 
-def example_arrays(n_scans=4, n_beams=5):
+def example_arrays(n_scans: int = 4, n_beams: int = 5) -> dict[str, Any]:
     rng = np.random.default_rng(1)
     return {
         "stamps": 100.0 + 0.1 * np.arange(n_scans),
@@ -20,7 +23,7 @@ def example_arrays(n_scans=4, n_beams=5):
     }
 
 
-def test_round_trip_with_truth(tmp_path):
+def test_round_trip_with_truth(tmp_path: Path) -> None:
     arrays = example_arrays()
     truth = {
         "poses": arrays["odometry"] + 0.1,
@@ -35,6 +38,8 @@ def test_round_trip_with_truth(tmp_path):
         assert (scan.index, scan.stamp) == (i, arrays["stamps"][i])
         np.testing.assert_array_equal(scan.ranges, arrays["ranges"][i])
         np.testing.assert_array_equal(scan.T_odom_base, arrays["odometry"][i])
+        assert scan.truth is not None
+        assert scan.truth.is_moving is not None
         np.testing.assert_array_equal(scan.truth.T_world_base, truth["poses"][i])
         np.testing.assert_array_equal(scan.truth.is_moving, truth["is_moving"][i])
         np.testing.assert_array_equal(scan.truth.object_id, truth["object_id"][i])
@@ -45,7 +50,7 @@ def test_round_trip_with_truth(tmp_path):
     assert_same_scans(list(log), scans)
 
 
-def test_what_was_used_is_told(tmp_path):
+def test_what_was_used_is_told(tmp_path: Path) -> None:
     path = _written(tmp_path, example_arrays())
     assert source_of(open_log(path)) == {
         "laser_pose": "0.2 -0.1 0.3",
@@ -59,12 +64,12 @@ def test_what_was_used_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_given_mounting_is_finite(tmp_path, number):
+def test_a_given_mounting_is_finite(tmp_path: Path, number: float) -> None:
     with pytest.raises(ConfigError, match="three finite numbers"):
         open_log(_written(tmp_path, example_arrays()), laser_pose=(0.0, number, 0.0))
 
 
-def test_partial_truth_other_keys_and_other_kinds_of_numbers(tmp_path):
+def test_partial_truth_other_keys_and_other_kinds_of_numbers(tmp_path: Path) -> None:
     arrays = example_arrays()
     arrays["ranges"] = np.asfortranarray(arrays["ranges"].astype(np.float32))
     arrays["range_max"] = [10]
@@ -73,12 +78,13 @@ def test_partial_truth_other_keys_and_other_kinds_of_numbers(tmp_path):
     assert scan.ranges.dtype == np.float64
     assert scan.ranges.flags.c_contiguous
     assert scan.laser.range_max == 10.0
+    assert scan.truth is not None
     assert scan.truth.is_moving is None
     np.testing.assert_array_equal(scan.truth.T_world_base, np.zeros(3))
     assert next(iter(open_log(_written(tmp_path, example_arrays())))).truth is None
 
 
-def test_bad_rows_are_left_out(tmp_path):
+def test_bad_rows_are_left_out(tmp_path: Path) -> None:
     arrays = example_arrays(n_scans=6)
     arrays["ranges"][1] = [np.nan, np.inf, -np.inf, -1.0, 0.0]
     arrays["ranges"][2, :4] = [np.nan, np.inf, -np.inf, -1.0]
@@ -114,7 +120,7 @@ def test_bad_rows_are_left_out(tmp_path):
         ("stamps", np.array(["a", "b", "c", "d"]), "`stamps` is of type"),
     ],
 )
-def test_wrong_shapes_and_kinds(tmp_path, key, value, text):
+def test_wrong_shapes_and_kinds(tmp_path: Path, key: str, value: Any, text: str) -> None:
     arrays = {**example_arrays(), key: value}
     with pytest.raises(InputError, match=text) as caught:
         write_npz_log(tmp_path / "b.npz", **arrays)
@@ -126,7 +132,7 @@ def test_wrong_shapes_and_kinds(tmp_path, key, value, text):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_keys_are_listed(tmp_path):
+def test_missing_keys_are_listed(tmp_path: Path) -> None:
     arrays = example_arrays()
     del arrays["stamps"], arrays["odometry"]
     np.savez(tmp_path / "a.npz", **arrays)
@@ -134,7 +140,7 @@ def test_missing_keys_are_listed(tmp_path):
         open_log(tmp_path / "a.npz")
 
 
-def test_object_arrays_are_refused(tmp_path):
+def test_object_arrays_are_refused(tmp_path: Path) -> None:
     arrays = {**example_arrays(), "odometry": np.array([{"x": 1}, 2, 3, 4], dtype=object)}
     np.savez(tmp_path / "a.npz", allow_pickle=True, **arrays)
     with pytest.raises(InputError, match=r"`odometry`.*numbers"):
@@ -142,7 +148,7 @@ def test_object_arrays_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
-def test_truncated(tmp_path, share):
+def test_truncated(tmp_path: Path, share: float) -> None:
     path = _written(tmp_path, example_arrays(n_scans=200))
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
@@ -150,7 +156,7 @@ def test_truncated(tmp_path, share):
         open_log(path)
 
 
-def test_damaged_inside(tmp_path):
+def test_damaged_inside(tmp_path: Path) -> None:
     path = _written(tmp_path, example_arrays(n_scans=200))
     data = bytearray(path.read_bytes())
     middle = data.index(b"ranges.npy") + 200
@@ -160,7 +166,7 @@ def test_damaged_inside(tmp_path):
         open_log(path)
 
 
-def test_not_an_npz(tmp_path):
+def test_not_an_npz(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_text("hello")
     with pytest.raises(InputError, match=r"not a .npz file"):
         open_log(tmp_path / "a.npz")
@@ -169,11 +175,11 @@ def test_not_an_npz(tmp_path):
         open_log(tmp_path / "a.npy")
 
 
-def test_cannot_be_written(tmp_path):
+def test_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be written"):
         write_npz_log(tmp_path / "nowhere" / "a.npz", **example_arrays())
 
 
-def _written(folder, arrays):
+def _written(folder: Path, arrays: dict[str, Any]) -> Path:
     write_npz_log(folder / "written.npz", **arrays)
     return folder / "written.npz"

@@ -1,4 +1,5 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ GOOD = [1.0 + 0.01 * i for i in range(180)]
 
 
 @pytest.mark.parametrize("name", ["a.clf", "a.log", "a.clf.gz", "a.clf.bz2", "a.txt"])
-def test_reads_flaser_plain_and_compressed(tmp_path, name):
+def test_reads_flaser_plain_and_compressed(tmp_path: Path, name: str) -> None:
     no_return = [*GOOD[:-1], 81.91]
     path = write_log(
         tmp_path / name,
@@ -43,13 +44,13 @@ def test_reads_flaser_plain_and_compressed(tmp_path, name):
 @pytest.mark.parametrize(
     ("n_beams", "step", "last"), [(180, 1.0, 89), (181, 1, 90), (360, 0.5, 89.5), (361, 0.5, 90)]
 )
-def test_flaser_angles(tmp_path, n_beams, step, last):
+def test_flaser_angles(tmp_path: Path, n_beams: int, step: float, last: float) -> None:
     (scan,) = open_log(write_log(tmp_path / "a.clf", [flaser([2.0] * n_beams, 1.0)]))
     assert scan.laser.angle_increment == pytest.approx(math.radians(step))
     assert scan.laser.angles_base[-1] == pytest.approx(math.radians(last))
 
 
-def test_file_order_is_kept_and_jumps_are_noted_once(tmp_path):
+def test_file_order_is_kept_and_jumps_are_noted_once(tmp_path: Path) -> None:
     stamps = [100.0, 100.2, 99.9, 100.3, 100.1, 100.4, 200.0]
     log = open_log(write_log(tmp_path / "a.clf", [flaser(GOOD, t) for t in stamps]))
     for _ in range(2):
@@ -59,7 +60,7 @@ def test_file_order_is_kept_and_jumps_are_noted_once(tmp_path):
         assert "60 s 1 times, by up to 99.6 s" in forward
 
 
-def test_mounting_is_the_laser_seen_from_the_base(tmp_path):
+def test_mounting_is_the_laser_seen_from_the_base(tmp_path: Path) -> None:
     mounting = (0.22, -0.05, 3.1415)
     lines = []
     for i in range(20):
@@ -72,14 +73,14 @@ def test_mounting_is_the_laser_seen_from_the_base(tmp_path):
     assert scans[0].laser.T_base_laser == pytest.approx(mounting, abs=1.1e-4)
 
 
-def test_corrected_poses_are_no_mounting(tmp_path):
+def test_corrected_poses_are_no_mounting(tmp_path: Path) -> None:
     lines = [flaser(GOOD, i, (i, 0.0, 0.0), (i, 0.3 * i, 0.0)) for i in range(10)]
     log = open_log(write_log(tmp_path / "a.clf", lines))
     assert next(iter(log)).laser.T_base_laser == (0.0, 0.0, 0.0)
     assert "corrected poses" in log.warnings[0]
 
 
-def test_robotlaser_geometry_changes_from_scan_to_scan(tmp_path):
+def test_robotlaser_geometry_changes_from_scan_to_scan(tmp_path: Path) -> None:
     lines = [
         robotlaser([3.0] * 181, 1.0, robot=(0, 0, 0), laser=(0.22, 0, 0)),
         robotlaser([3.0] * 180, 2.0, start=-1.566433, robot=(1, 0, 0), laser=(1.22, 0, 0)),
@@ -98,7 +99,7 @@ def test_robotlaser_geometry_changes_from_scan_to_scan(tmp_path):
     assert log.skipped == []
 
 
-def test_where_the_mounting_comes_from_is_told(tmp_path):
+def test_where_the_mounting_comes_from_is_told(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.clf", [robotlaser(GOOD, 1.0)])
     told = source_of(open_log(path))
     assert told["laser_pose_from"] == "the laser's lines"
@@ -108,7 +109,7 @@ def test_where_the_mounting_comes_from_is_told(tmp_path):
     assert source_of(log) == {"laser_pose": "0.1 0 -3", "laser_pose_from": "given"}
 
 
-def test_one_kind_of_laser_line_is_read(tmp_path):
+def test_one_kind_of_laser_line_is_read(tmp_path: Path) -> None:
     lines = [flaser(GOOD, 1.0), flaser([9.0] * 180, 1.1, kind="RLASER"), robotlaser(GOOD, 1.2)]
     log = open_log(write_log(tmp_path / "a.clf", lines))
     assert log.n_scans == 1
@@ -142,7 +143,7 @@ BAD_LINES = {
 
 
 @pytest.mark.parametrize("case", BAD_LINES)
-def test_a_bad_scan_is_left_out_with_place_and_reason(tmp_path, case):
+def test_a_bad_scan_is_left_out_with_place_and_reason(tmp_path: Path, case: str) -> None:
     line, reason = BAD_LINES[case]
     log = open_log(write_log(tmp_path / "a.clf", [flaser(GOOD, 1.0), "# x", line, flaser(GOOD, 3.0)]))
     assert log.n_scans == 3
@@ -154,7 +155,7 @@ def test_a_bad_scan_is_left_out_with_place_and_reason(tmp_path, case):
         assert "\n" not in skipped.reason
 
 
-def test_single_bad_beams_are_kept_as_they_are(tmp_path):
+def test_single_bad_beams_are_kept_as_they_are(tmp_path: Path) -> None:
     readings = ["nan", "inf", "-inf", -1.0, *GOOD[4:]]
     log = open_log(write_log(tmp_path / "a.clf", [flaser(readings, 1.0)]))
     (scan,) = log
@@ -163,26 +164,26 @@ def test_single_bad_beams_are_kept_as_they_are(tmp_path):
     assert not scan.is_valid()[:4].any()
 
 
-def test_an_absurd_reading_does_not_set_the_limit(tmp_path):
+def test_an_absurd_reading_does_not_set_the_limit(tmp_path: Path) -> None:
     log = open_log(write_log(tmp_path / "a.clf", [flaser([1e9, *GOOD[1:-1], 81.91], 1.0)]))
     assert next(iter(log)).laser.range_max == 81.91
 
 
-def test_more_different_readings_than_are_held(tmp_path):
+def test_more_different_readings_than_are_held(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     readings = rng.uniform(1.0, 80.0, size=(700, 180)).round(6)
     log = open_log(write_log(tmp_path / "a.clf", [flaser(row.tolist(), i) for i, row in enumerate(readings)]))
     assert next(iter(log)).laser.range_max == readings.max()
 
 
-def test_no_usable_scan_at_all(tmp_path):
+def test_no_usable_scan_at_all(tmp_path: Path) -> None:
     log = open_log(write_log(tmp_path / "a.clf", [flaser(["nan"] * 180, 1.0), "FLASER x"]))
     assert log.n_scans == 2
     assert list(log) == []
     assert [x.place for x in log.skipped] == ["line 1", "line 2"]
 
 
-def test_no_laser_lines(tmp_path):
+def test_no_laser_lines(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.clf", ["ODOM 0 0 0 0 0 0 1.0 host 0.1"])
     with pytest.raises(InputError, match="no laser lines") as caught:
         open_log(path)
@@ -192,7 +193,7 @@ def test_no_laser_lines(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.clf.gz", "a.clf.bz2"])
 @pytest.mark.parametrize("n_bytes", [10, 2000, -5])
-def test_truncated_compressed_file(tmp_path, name, n_bytes):
+def test_truncated_compressed_file(tmp_path: Path, name: str, n_bytes: int) -> None:
     rng = np.random.default_rng(3)
     lines = [flaser(row.tolist(), i) for i, row in enumerate(rng.uniform(1, 9, (50, 180)).round(3))]
     path = write_log(tmp_path / name, lines)
@@ -203,7 +204,7 @@ def test_truncated_compressed_file(tmp_path, name, n_bytes):
 
 
 @pytest.mark.parametrize("name", ["a.clf.gz", "a.clf.bz2"])
-def test_damaged_compressed_file(tmp_path, name):
+def test_damaged_compressed_file(tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng(3)
     path = write_log(
         tmp_path / name, [flaser(row.tolist(), 1) for row in rng.uniform(1, 9, (50, 180)).round(3)]
@@ -215,7 +216,7 @@ def test_damaged_compressed_file(tmp_path, name):
         open_log(path)
 
 
-def test_iterations_do_not_disturb_each_other_and_may_be_abandoned(tmp_path):
+def test_iterations_do_not_disturb_each_other_and_may_be_abandoned(tmp_path: Path) -> None:
     lines = [flaser(GOOD, 1.0), "FLASER x", *(flaser(GOOD, t) for t in (2.0, 3.0))]
     log = open_log(write_log(tmp_path / "a.clf.bz2", lines))
     first, second = iter(log), iter(log)
@@ -227,7 +228,7 @@ def test_iterations_do_not_disturb_each_other_and_may_be_abandoned(tmp_path):
     assert log.skipped == []
 
 
-def test_file_that_goes_away(tmp_path):
+def test_file_that_goes_away(tmp_path: Path) -> None:
     log = open_log(write_log(tmp_path / "a.clf", [flaser(GOOD, 1.0)]))
     log.path.unlink()
     with pytest.raises(InputError, match="cannot be read"):

@@ -1,5 +1,7 @@
 """The readers on the recorded logs."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from tests.logs.compare import assert_same_scans
 pytestmark = pytest.mark.real
 
 
-def test_intel(recorded_data):
+def test_intel(recorded_data: Path) -> None:
     log = open_log(recorded_data / "freiburg" / "intel.clf.bz2")
     scans = list(log)
     assert log.n_scans == len(scans) == 13_631
@@ -26,7 +28,7 @@ def test_intel(recorded_data):
     assert any("backward 631 times" in x for x in log.warnings)
 
 
-def test_aces(recorded_data):
+def test_aces(recorded_data: Path) -> None:
     log = open_log(recorded_data / "freiburg" / "aces.clf.bz2")
     scans = list(log)
     assert log.n_scans == len(scans) == 7_374
@@ -35,7 +37,7 @@ def test_aces(recorded_data):
     assert (log.warnings, log.skipped) == ([], [])
 
 
-def test_robotlaser_log(recorded_data):
+def test_robotlaser_log(recorded_data: Path) -> None:
     log = open_log(recorded_data / "freiburg" / "fr-clinic_robotlaser.clf.bz2")
     scans = list(log)
     assert log.n_scans == len(scans) == 6_917
@@ -45,7 +47,7 @@ def test_robotlaser_log(recorded_data):
     assert {scan.laser.range_max for scan in scans} == {81.9}
 
 
-def test_general_tracking_and_its_twin(recorded_data):
+def test_general_tracking_and_its_twin(recorded_data: Path) -> None:
     folder = recorded_data / "bags"
     ros1 = open_log(folder / "general_tracking_moving_1.bag")
     scans = list(ros1)
@@ -58,7 +60,7 @@ def test_general_tracking_and_its_twin(recorded_data):
     assert_same_scans(list(open_log(twin / "general_tracking_moving_1_mcap.mcap")), scans)
 
 
-def test_overtakes_and_its_twin(recorded_data):
+def test_overtakes_and_its_twin(recorded_data: Path) -> None:
     folder = recorded_data / "bags" / "overtakes_sqlite3"
     with pytest.raises(InputError, match=r"/ego_pose, /red_pose.*--odom-topic"):
         open_log(folder)
@@ -72,7 +74,7 @@ def test_overtakes_and_its_twin(recorded_data):
     assert_same_scans(list(ros1), scans)
 
 
-def test_parallel(recorded_data):
+def test_parallel(recorded_data: Path) -> None:
     log = open_log(recorded_data / "datmo" / "parallel.bag", odom_topic="/ego_pose")
     assert len(list(log)) == log.n_scans == 219
     assert log.warnings[0].startswith("tf does not tell")

@@ -1,39 +1,44 @@
 import math
 import re
 import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from slammot_graph.core.errors import InputError
-from slammot_graph.logs import open_log, source_of
+from slammot_graph.logs import LaserLog, open_log, source_of
 from tests.logs import bag_files as bf
 from tests.logs.compare import assert_same_scans
 
 T0 = 1_600_000_000.0
+Pose = tuple[float, float, float]
+MakePose = Callable[..., bf.Sent]
 SCAN_STAMPS = [T0 + 0.25 + 0.125 * i for i in range(6)]
 ODOMETRY_STAMPS = [T0 + 0.1 * i for i in range(13)]
 
 
-def pose_at(stamp):
+def pose_at(stamp: float) -> Pose:
     """A robot that turns through 180 degrees while it drives."""
     t = stamp - T0
     return 2.0 * t, -t, math.remainder(2.5 + 2.0 * t, math.tau)
 
 
-def scans(**changes):
+def scans(**changes: Any) -> list[bf.Sent]:
     return [bf.scan(t, (1.0 + i, 2.0, np.inf), **changes) for i, t in enumerate(SCAN_STAMPS)]
 
 
-def odometry(make=bf.odometry, **changes):
+def odometry(make: MakePose = bf.odometry, **changes: Any) -> list[bf.Sent]:
     return [make(t, pose_at(t), **changes) for t in ODOMETRY_STAMPS]
 
 
-def mounting(**changes):
+def mounting(**changes: Any) -> list[bf.Sent]:
     return [bf.transform(T0, "base_link", "laser", (0.5, -0.25, 0.75), **changes)]
 
 
-def refusal(path, **topics):
+def refusal(path: Path, **topics: Any) -> str:
     with pytest.raises(InputError) as caught:
         open_log(path, **topics)
     text = str(caught.value)
@@ -42,7 +47,7 @@ def refusal(path, **topics):
     return text
 
 
-def assert_odometry(log, poses=pose_at):
+def assert_odometry(log: LaserLog, poses: Callable[[float], Pose] = pose_at) -> None:
     found = list(log)
     assert found
     for scan in found:
@@ -50,7 +55,7 @@ def assert_odometry(log, poses=pose_at):
 
 
 @pytest.mark.parametrize("kind", bf.FORMATS)
-def test_reads_every_bag_format(tmp_path, kind):
+def test_reads_every_bag_format(tmp_path: Path, kind: str) -> None:
     log = open_log(bf.write_bag(tmp_path, scans() + odometry() + mounting(), kind))
     assert log.n_scans == 6
     found = list(log)
@@ -71,7 +76,7 @@ def test_reads_every_bag_format(tmp_path, kind):
 
 
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
-def test_bag_file_without_its_folder(tmp_path, kind):
+def test_bag_file_without_its_folder(tmp_path: Path, kind: str) -> None:
     folder = bf.write_bag(tmp_path, scans() + odometry() + mounting(), kind)
     expected = list(open_log(folder))
     (file,) = (x for x in folder.iterdir() if x.suffix in (".db3", ".mcap"))
@@ -82,7 +87,7 @@ def test_bag_file_without_its_folder(tmp_path, kind):
     assert_same_scans(list(open_log(folder)), expected)
 
 
-def test_iteration_may_be_abandoned(tmp_path):
+def test_iteration_may_be_abandoned(tmp_path: Path) -> None:
     for kind in bf.FORMATS:
         iterator = iter(open_log(bf.write_bag(tmp_path, scans() + odometry() + mounting(), kind)))
         next(iterator)
@@ -90,12 +95,12 @@ def test_iteration_may_be_abandoned(tmp_path):
 
 
 @pytest.mark.parametrize("make", [bf.pose_stamped, bf.pose_with_covariance])
-def test_poses_as_odometry(tmp_path, make):
+def test_poses_as_odometry(tmp_path: Path, make: MakePose) -> None:
     assert_odometry(open_log(bf.write_bag(tmp_path, scans() + odometry(make) + mounting())))
 
 
 @pytest.mark.parametrize("base", ["base_link", "base_footprint"])
-def test_tf_as_odometry(tmp_path, base):
+def test_tf_as_odometry(tmp_path: Path, base: str) -> None:
     broadcast = [bf.transform(t, "/odom", base, pose_at(t), topic="/tf") for t in ODOMETRY_STAMPS]
     fixed = bf.transform(T0, base, "laser", (0.5, -0.25, 0.75), topic="/tf")
     log = open_log(bf.write_bag(tmp_path, [*scans(), *broadcast, fixed]))
@@ -103,7 +108,7 @@ def test_tf_as_odometry(tmp_path, base):
     assert next(iter(log)).laser.T_base_laser == pytest.approx((0.5, -0.25, 0.75))
 
 
-def test_odometry_is_preferred_to_poses_and_tf(tmp_path):
+def test_odometry_is_preferred_to_poses_and_tf(tmp_path: Path) -> None:
     others = [bf.pose_stamped(t, (9, 9, 0)) for t in ODOMETRY_STAMPS]
     broadcast = [bf.transform(t, "odom", "base_link", (8, 8, 0), topic="/tf") for t in ODOMETRY_STAMPS]
     path = bf.write_bag(tmp_path, scans() + odometry() + others + broadcast + mounting())
@@ -112,7 +117,7 @@ def test_odometry_is_preferred_to_poses_and_tf(tmp_path):
     assert_odometry(open_log(path, odom_topic="/tf"), lambda _: (8, 8, 0))
 
 
-def test_a_goal_is_not_odometry(tmp_path):
+def test_a_goal_is_not_odometry(tmp_path: Path) -> None:
     many_scans = [bf.scan(T0 + 0.05 * i) for i in range(21)]
     goals = [bf.pose_stamped(T0 + i, (5, 5, 0), topic="/goal") for i in range(2)]
     broadcast = [bf.transform(t, "odom", "base_link", pose_at(t), topic="/tf") for t in ODOMETRY_STAMPS]
@@ -121,7 +126,7 @@ def test_a_goal_is_not_odometry(tmp_path):
     assert "name one of /goal with --odom-topic" in refusal(bf.write_bag(tmp_path, many_scans + goals))
 
 
-def test_several_topics_have_to_be_chosen_from(tmp_path):
+def test_several_topics_have_to_be_chosen_from(tmp_path: Path) -> None:
     more = scans(topic="/rear/scan") + odometry(topic="/wheel")
     path = bf.write_bag(tmp_path, scans() + odometry() + more + mounting())
     text = refusal(path)
@@ -133,7 +138,7 @@ def test_several_topics_have_to_be_chosen_from(tmp_path):
     assert open_log(path, scan_topic="rear/scan", odom_topic="/wheel").n_scans == 6
 
 
-def test_topics_that_are_not_there(tmp_path):
+def test_topics_that_are_not_there(tmp_path: Path) -> None:
     path = bf.write_bag(tmp_path, scans() + odometry() + mounting())
     assert "no topic /lidar; --scan-topic can be /scan" in refusal(path, scan_topic="/lidar")
     assert "no topic /o; --odom-topic can be /odom, /tf_static" in refusal(path, odom_topic="/o")
@@ -143,7 +148,7 @@ def test_topics_that_are_not_there(tmp_path):
 
 
 @pytest.mark.parametrize("kind", bf.FORMATS)
-def test_bag_without_scans_or_odometry(tmp_path, kind):
+def test_bag_without_scans_or_odometry(tmp_path: Path, kind: str) -> None:
     text = refusal(bf.write_bag(tmp_path, odometry() + mounting(), kind))
     assert "no LaserScan messages" in text
     assert "/odom" in text
@@ -154,20 +159,20 @@ def test_bag_without_scans_or_odometry(tmp_path, kind):
     assert "/scan" in text
 
 
-def test_tf_without_odometry(tmp_path):
+def test_tf_without_odometry(tmp_path: Path) -> None:
     assert "in tf" in refusal(bf.write_bag(tmp_path, scans() + mounting()))
 
 
-def test_scans_that_odometry_does_not_cover_are_left_out(tmp_path):
+def test_scans_that_odometry_does_not_cover_are_left_out(tmp_path: Path) -> None:
     lonely = [bf.scan(T0 - 5.0), bf.scan(T0 - 0.1), bf.scan(T0 + 1.3), bf.scan(T0 + 30.0)]
     log = open_log(bf.write_bag(tmp_path, lonely + scans() + odometry() + mounting()))
     assert len(list(log)) == 8
     assert [x.place for x in log.skipped] == ["message 1 of /scan", "message 10 of /scan"]
     assert "no odometry" in log.skipped[0].reason
-    np.testing.assert_allclose(next(iter(log)).T_odom_base, pose_at(T0), atol=1e-9)
+    np.testing.assert_allclose(next(iter(log)).T_odom_base, np.array(pose_at(T0)), atol=1e-9)
 
 
-def test_odometry_that_is_not_finite_is_left_out(tmp_path):
+def test_odometry_that_is_not_finite_is_left_out(tmp_path: Path) -> None:
     holed = odometry()
     holed[4] = bf.odometry(ODOMETRY_STAMPS[4], (math.nan, 0.0, 0.0))
     log = open_log(bf.write_bag(tmp_path, scans() + holed + mounting()))
@@ -178,7 +183,7 @@ def test_odometry_that_is_not_finite_is_left_out(tmp_path):
     assert "none of the 13 odometry poses is finite" in refusal(bf.write_bag(tmp_path, scans() + nothing))
 
 
-def test_zero_quaternion_is_no_pose(tmp_path):
+def test_zero_quaternion_is_no_pose(tmp_path: Path) -> None:
     holed = odometry()
     orientation = holed[4].fields["pose"].fields["pose"].fields["orientation"]
     orientation.fields.update(x=0.0, y=0.0, z=0.0, w=0.0)
@@ -187,7 +192,7 @@ def test_zero_quaternion_is_no_pose(tmp_path):
     assert "not finite" in log.warnings[0]
 
 
-BAD_SCANS = {
+BAD_SCANS: dict[str, tuple[dict[str, Any], str]] = {
     "all not a number": ({"ranges": (math.nan,) * 3}, "no beam"),
     "all infinite or negative": ({"ranges": (math.inf, -math.inf, -1.0)}, "no beam"),
     "no beams": ({"ranges": ()}, "at least one beam"),
@@ -200,7 +205,7 @@ BAD_SCANS = {
 
 
 @pytest.mark.parametrize("case", BAD_SCANS)
-def test_a_bad_scan_is_left_out_with_place_and_reason(tmp_path, case):
+def test_a_bad_scan_is_left_out_with_place_and_reason(tmp_path: Path, case: str) -> None:
     changes, reason = BAD_SCANS[case]
     changed = scans()
     changed[2] = bf.scan(SCAN_STAMPS[2], **changes)
@@ -212,7 +217,7 @@ def test_a_bad_scan_is_left_out_with_place_and_reason(tmp_path, case):
         assert reason in skipped.reason
 
 
-def test_beam_counts_may_change(tmp_path):
+def test_beam_counts_may_change(tmp_path: Path) -> None:
     changed = scans()
     changed[2] = bf.scan(SCAN_STAMPS[2], (1.0, 2.0, 3.0, 4.0))
     changed[3] = bf.scan(
@@ -223,11 +228,11 @@ def test_beam_counts_may_change(tmp_path):
     assert log.skipped == []
 
 
-def test_a_message_that_cannot_be_decoded(tmp_path):
+def test_a_message_that_cannot_be_decoded(tmp_path: Path) -> None:
     log = open_log(bf.write_bag(tmp_path, scans() + odometry() + mounting(), "mcap"))
     file = next(log.path.glob("*.mcap"))
     data = file.read_bytes()
-    start = data.rindex(np.float32([6.0, 2.0, np.inf]).tobytes()) - 4
+    start = data.rindex(np.array([6.0, 2.0, np.inf], dtype=np.float32).tobytes()) - 4
     file.write_bytes(data[:start] + b"\xff\xff\xff\x0f" + data[start + 4 :])
     assert len(list(log)) == 5
     assert log.skipped[0].place == "message 6 of /scan"
@@ -235,7 +240,7 @@ def test_a_message_that_cannot_be_decoded(tmp_path):
 
 
 @pytest.mark.parametrize("stamps", ["zero", "other clock", "standing still"])
-def test_header_stamps_that_mislead(tmp_path, stamps):
+def test_header_stamps_that_mislead(tmp_path: Path, stamps: str) -> None:
     """Recording times are used instead: the scans were recorded 0.05 s and the poses 0.002 s after their stamps."""
     changed = scans()
     for i, message in enumerate(changed):
@@ -247,7 +252,7 @@ def test_header_stamps_that_mislead(tmp_path, stamps):
     assert "do not share a clock" in log.warnings[0]
 
 
-def test_headers_of_a_replay_keep_their_clock(tmp_path):
+def test_headers_of_a_replay_keep_their_clock(tmp_path: Path) -> None:
     """Scans and odometry of one clock that is not the recorder's, as of a replay."""
     late = 5000.0
     messages = [x._replace(bag_stamp=x.bag_stamp + late) for x in scans() + odometry() + mounting()]
@@ -256,7 +261,7 @@ def test_headers_of_a_replay_keep_their_clock(tmp_path):
     assert_odometry(log)
 
 
-def test_file_order_is_kept_and_jumps_are_noted(tmp_path):
+def test_file_order_is_kept_and_jumps_are_noted(tmp_path: Path) -> None:
     messages = scans()
     messages[3] = bf.scan(SCAN_STAMPS[0] + 0.01, (4.0, 2.0, 2.0), lag=SCAN_STAMPS[3] - SCAN_STAMPS[0])
     log = open_log(bf.write_bag(tmp_path, messages + odometry() + mounting()))
@@ -265,7 +270,7 @@ def test_file_order_is_kept_and_jumps_are_noted(tmp_path):
     assert "backward 1 times" in log.warnings[0]
 
 
-def test_mounting_over_a_chain_with_slashes_and_another_base(tmp_path):
+def test_mounting_over_a_chain_with_slashes_and_another_base(tmp_path: Path) -> None:
     chain = [
         bf.transform(T0, "/robot", "/mast", (0.5, 0.0, math.pi / 2), topic="/tf"),
         bf.transform(T0 + 0.5, "mast", "laser", (0.25, 0.0, 0.1), topic="/tf"),
@@ -277,13 +282,13 @@ def test_mounting_over_a_chain_with_slashes_and_another_base(tmp_path):
 
 @pytest.mark.parametrize("child", ["", "unknown_to_tf"])
 @pytest.mark.parametrize("base", ["base_link", "base_footprint"])
-def test_usual_base_frames(tmp_path, child, base):
+def test_usual_base_frames(tmp_path: Path, child: str, base: str) -> None:
     fixed = bf.transform(T0, base, "laser", (0.5, -0.25, 0.75))
     log = open_log(bf.write_bag(tmp_path, [*scans(), *odometry(child=child), fixed]))
     assert next(iter(log)).laser.T_base_laser == pytest.approx((0.5, -0.25, 0.75))
 
 
-def test_unknown_mounting_is_the_identity_and_said(tmp_path):
+def test_unknown_mounting_is_the_identity_and_said(tmp_path: Path) -> None:
     log = open_log(bf.write_bag(tmp_path, scans() + odometry()))
     for _ in range(2):
         assert next(iter(log)).laser.T_base_laser == (0.0, 0.0, 0.0)
@@ -293,13 +298,13 @@ def test_unknown_mounting_is_the_identity_and_said(tmp_path):
         ]
 
 
-def test_laser_frame_that_is_the_base(tmp_path):
+def test_laser_frame_that_is_the_base(tmp_path: Path) -> None:
     log = open_log(bf.write_bag(tmp_path, scans(frame="base_link") + odometry()))
     assert log.warnings == []
 
 
 @pytest.mark.parametrize("kind", bf.FORMATS)
-def test_what_was_used_is_told(tmp_path, kind):
+def test_what_was_used_is_told(tmp_path: Path, kind: str) -> None:
     broadcast = [bf.transform(t, "odom", "base_link", pose_at(t), topic="/tf") for t in ODOMETRY_STAMPS]
     path = bf.write_bag(tmp_path, scans() + odometry() + broadcast + mounting(), kind)
     told = {"scan_topic": "/scan", "laser_pose": "0.5 -0.25 0.75", "laser_pose_from": "tf"}
@@ -307,7 +312,7 @@ def test_what_was_used_is_told(tmp_path, kind):
     assert source_of(open_log(path, odom_topic="/tf")) == {**told, "odom_topic": "/tf"}
 
 
-def test_topics_that_were_told_open_the_bag_again(tmp_path):
+def test_topics_that_were_told_open_the_bag_again(tmp_path: Path) -> None:
     """Odometry by tf, chosen by itself."""
     broadcast = [bf.transform(t, "odom", "base_link", pose_at(t), topic="/tf") for t in ODOMETRY_STAMPS]
     path = bf.write_bag(tmp_path, scans() + broadcast + mounting())
@@ -317,12 +322,12 @@ def test_topics_that_were_told_open_the_bag_again(tmp_path):
     assert_same_scans(list(again), list(open_log(path)))
 
 
-def test_an_assumed_mounting_is_told(tmp_path):
+def test_an_assumed_mounting_is_told(tmp_path: Path) -> None:
     told = source_of(open_log(bf.write_bag(tmp_path, scans() + odometry())))
     assert (told["laser_pose"], told["laser_pose_from"]) == ("0 0 0", "assumed")
 
 
-def test_a_given_mounting_takes_the_place_of_tf(tmp_path):
+def test_a_given_mounting_takes_the_place_of_tf(tmp_path: Path) -> None:
     bare, full = tmp_path / "bare", tmp_path / "full"
     bare.mkdir()
     full.mkdir()
@@ -336,7 +341,7 @@ def test_a_given_mounting_takes_the_place_of_tf(tmp_path):
     np.testing.assert_allclose(laser.angles_base, -3.0 - np.array([-0.5, -0.25, 0.0]), atol=1e-6)
 
 
-def test_upside_down_laser_turns_its_beams(tmp_path):
+def test_upside_down_laser_turns_its_beams(tmp_path: Path) -> None:
     log = open_log(bf.write_bag(tmp_path, scans() + odometry() + mounting(roll=math.pi)))
     scan = next(iter(log))
     np.testing.assert_allclose(scan.laser.angles_base, 0.75 - np.array([-0.5, -0.25, 0.0]), atol=1e-6)
@@ -344,14 +349,14 @@ def test_upside_down_laser_turns_its_beams(tmp_path):
     assert scan.laser.T_base_laser == pytest.approx((0.5, -0.25, 0.75))
 
 
-def test_tilted_laser_is_said(tmp_path):
+def test_tilted_laser_is_said(tmp_path: Path) -> None:
     log = open_log(bf.write_bag(tmp_path, scans() + odometry() + mounting(roll=0.5)))
     assert "tilted by 29 degrees" in log.warnings[0]
 
 
 @pytest.mark.parametrize("kind", bf.FORMATS)
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.95])
-def test_truncated_bags(tmp_path, kind, share):
+def test_truncated_bags(tmp_path: Path, kind: str, share: float) -> None:
     many = [bf.scan(T0 + 0.02 * i, tuple(np.linspace(1, 9, 300))) for i in range(60)]
     path = bf.write_bag(tmp_path, many + odometry() + mounting(), kind)
     file = path if kind == "bag" else next(x for x in path.iterdir() if x.suffix != ".yaml")
@@ -362,7 +367,7 @@ def test_truncated_bags(tmp_path, kind, share):
 
 
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
-def test_damaged_metadata(tmp_path, kind):
+def test_damaged_metadata(tmp_path: Path, kind: str) -> None:
     path = bf.write_bag(tmp_path, scans() + odometry(), kind)
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: [oh")
     assert "damaged" in refusal(path)
@@ -372,7 +377,7 @@ def test_damaged_metadata(tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
 @pytest.mark.parametrize(("key", "value"), [("nanoseconds", "soon"), ("nanoseconds_since_epoch", "null")])
-def test_numbers_of_the_metadata_that_are_none(tmp_path, kind, key, value):
+def test_numbers_of_the_metadata_that_are_none(tmp_path: Path, kind: str, key: str, value: Any) -> None:
     path = bf.write_bag(tmp_path, scans() + odometry() + mounting(), kind)
     text = (path / "metadata.yaml").read_text()
     damaged = re.sub(rf"({key}): \d+", rf"\1: {value}", text)
@@ -381,7 +386,7 @@ def test_numbers_of_the_metadata_that_are_none(tmp_path, kind, key, value):
     assert "damaged" in refusal(path)
 
 
-def test_bag_file_that_is_missing(tmp_path):
+def test_bag_file_that_is_missing(tmp_path: Path) -> None:
     path = bf.write_bag(tmp_path, scans() + odometry(), "mcap")
     next(path.glob("*.mcap")).unlink()
     assert "missing" in refusal(path)
@@ -389,14 +394,14 @@ def test_bag_file_that_is_missing(tmp_path):
     assert "no ROS 2 bag" in refusal(path)
 
 
-def test_several_files_without_metadata(tmp_path):
+def test_several_files_without_metadata(tmp_path: Path) -> None:
     path = bf.write_bag(tmp_path, scans() + odometry(), "mcap")
     shutil.copy(next(path.glob("*.mcap")), path / "more.mcap")
     (path / "metadata.yaml").unlink()
     assert "ros2 bag reindex" in refusal(path)
 
 
-def test_damage_in_the_middle_is_told_when_it_is_met(tmp_path):
+def test_damage_in_the_middle_is_told_when_it_is_met(tmp_path: Path) -> None:
     many = [bf.scan(T0 + 0.02 * i, tuple(np.linspace(1, 9, 30))) for i in range(60)]
     log = open_log(bf.write_bag(tmp_path, many + odometry() + mounting()))
     data = bytearray(log.path.read_bytes())
