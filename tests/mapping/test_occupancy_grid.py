@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,7 +75,9 @@ def assert_equal_around(grid: OccupancyGrid, plain: PlainGrid, origin: FloatArra
     )
 
 
-def random_scan(rng: np.random.Generator, origin: FloatArray, reach_m: float, n: int = 25) -> tuple:
+def random_scan(
+    rng: np.random.Generator, origin: FloatArray, reach_m: float, n: int = 25
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, BoolArray]:
     """Origin, end points, beams, hits and soft hits; few beams have a return, so that none leaves cells to another."""
     n *= FROM_LASER
     angles = rng.uniform(-np.pi, np.pi, n)
@@ -316,6 +319,6 @@ def test_map_is_cropped_with_its_lower_left_corner() -> None:
         ({"p_occupied": 0.98}, "grid needs p_min < p_free < 0.5 < p_occupied < p_max"),
     ],
 )
-def test_impossible_grids_are_refused(changes: dict[str, float], text: str) -> None:
+def test_impossible_grids_are_refused(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         GridConfig(**changes)
