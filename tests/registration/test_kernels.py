@@ -148,7 +148,8 @@ class Field:
 
     def lookup(self, points: FloatArray) -> IntArray:
         i, j = np.floor(points[:, ::-1] / CELL).astype(int).T % self.side
-        return self.nearest[i, j]
+        nearest: IntArray = self.nearest[i, j]
+        return nearest
 
 
 def cell_centres(half_m: float) -> FloatArray:
@@ -164,7 +165,7 @@ def test_field_holds_the_true_nearest_of_points_on_lines(seed: int) -> None:
     for _ in range(3):
         field.insert(rng.uniform(-1.5, 1.5, (8, 2)), unit(rng.uniform(0, np.pi, 8)))
     centres = cell_centres(1.5)
-    distance, number = cKDTree(field.points[field.kept]).query(centres)
+    distance, number = map(np.asarray, cKDTree(field.points[field.kept]).query(centres))
     within = distance <= REACH_CELLS * CELL
     stored = field.lookup(centres)
     assert (stored[within] >= 0).all()
@@ -333,7 +334,8 @@ def contour(rng: np.random.Generator, n: int) -> FloatArray:
     corners = np.array([[0, 0], [4, 0], [4, 2], [2, 2], [2, 5], [0, 5], [0, 0]]) - [1.0, 1.5]
     along = np.sort(rng.uniform(0.0, 6.0, n))
     i = along.astype(int)
-    return corners[i] + (along - i)[:, None] * (corners[i + 1] - corners[i])
+    points: FloatArray = corners[i] + (along - i)[:, None] * (corners[i + 1] - corners[i])
+    return points
 
 
 def icp(
@@ -382,7 +384,7 @@ def test_point_to_point_pairs_are_those_of_a_tree(rng: np.random.Generator) -> N
     _, partner, stats, iterations = icp(reference, points, start, max_iterations=1, max_distance=0.4)
     finite = np.flatnonzero(np.isfinite(reference[:, 0]))
     moved = np.nan_to_num(se2.transform(start, points), nan=1e3)
-    distance, number = cKDTree(reference[finite]).query(moved)
+    distance, number = map(np.asarray, cKDTree(reference[finite]).query(moved))
     expected = np.where(distance < 0.4, finite[number], -1)
     np.testing.assert_array_equal(partner, expected)
     paired = expected >= 0

@@ -11,7 +11,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.linalg import covariance_of, mahalanobis2
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
 from slammot_graph.registration import _covariance_kernels, _solve_kernels
 from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
@@ -61,7 +61,7 @@ class Pairs:
     rows: FloatArray
     weights: FloatArray
     numbers: FloatArray
-    is_line: FloatArray
+    is_line: BoolArray
 
 
 def pairs_of(scan: Scan, local_map: LocalMap, T: FloatArray, max_range: float = np.inf) -> Pairs:
@@ -225,7 +225,9 @@ def judge(
         np.zeros(3),
         H,
         np.zeros(3),
-        *parts,
+        parts[0],
+        parts[1],
+        parts[2],
         n_pairs,
         config.residual_std_m,
         config.floor_std_m,
