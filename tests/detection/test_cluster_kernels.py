@@ -33,7 +33,7 @@ def connected(points: FloatArray, is_member: np.ndarray, max_gap: float, max_ski
     _, labels = connected_components(near & (np.abs(number[:, None] - number[None]) <= max_skipped + 1))
     firsts = list(dict.fromkeys(labels.tolist()))
     out = np.full(len(points), -1)
-    out[number] = [firsts.index(label) for label in labels]
+    out[number] = [firsts.index(label) for label in labels.tolist()]
     return out
 
 
@@ -88,7 +88,8 @@ def plain_groups(
 ) -> tuple[list[IntArray], list[IntArray]]:
     """The beams of each group, by its first: those that may be people, and the others."""
     labels = connected(points, is_member, max_gap_m, config.max_skipped_beams)
-    kept, others = [], []
+    kept: list[IntArray] = []
+    others: list[IntArray] = []
     for c in range(labels.max(initial=-1) + 1):
         beams = np.flatnonzero(labels == c)
         width = np.ptp(points[beams], axis=0)

@@ -14,7 +14,7 @@ from slammot_graph.detection.ellipse_test import (
 )
 from slammot_graph.detection.reasons import REASONS
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
-from tests.rooms import LASER, take_scan
+from tests.rooms import LASER, is_person, take_scan
 
 POSE = np.array([2.0, 0.5, 1.9])
 SMALL_COV = np.diag([0.01, 0.01, 0.003]) ** 2
@@ -42,7 +42,7 @@ def test_a_person_in_free_space_moves_and_walls_do_not(window_m: float | None) -
     scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
     found = detect(scan, seen_room(window_m), EllipseTestConfig())
     assert scan.truth is not None
-    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)
+    np.testing.assert_array_equal(found.is_moving, is_person(scan))
     assert found.is_moving.sum() > 5
     np.testing.assert_array_equal(found.cluster, np.where(found.is_moving, 0, -1))
     assert found.n_clusters == 1
@@ -69,12 +69,12 @@ def test_beams_without_a_return_are_not_judged() -> None:
     scan.ranges[::3] = [np.nan, np.inf, -np.inf, -1.0, 0.0, 30.0, 1e9] * 8 + [np.nan] * 5
     found = detect(scan, seen_room(), EllipseTestConfig())
     assert (found.reason[::3] == reasons.NOT_VALID).all()
-    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving & scan.is_valid())
+    np.testing.assert_array_equal(found.is_moving, is_person(scan) & scan.is_valid())
 
 
 def test_a_single_beam_is_discarded() -> None:
     scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
-    alone = int(np.flatnonzero(scan.truth.is_moving)[0])  # type: ignore[union-attr]
+    alone = int(np.flatnonzero(is_person(scan))[0])
     plain = take_scan(POSE)
     plain.ranges[alone] = scan.ranges[alone]
     found = detect(plain, seen_room(), EllipseTestConfig())
@@ -88,7 +88,7 @@ def test_the_test_stands_back_when_too_much_seems_to_move() -> None:
     assert not found.is_moving.any()
     assert found.n_clusters == 0
     assert (found.cluster == -1).all()
-    np.testing.assert_array_equal(found.reason == reasons.STOOD_BACK, scan.truth.is_moving)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(found.reason == reasons.STOOD_BACK, is_person(scan))
 
 
 PERSON = [1.0, 2.5, 0.25]
@@ -113,7 +113,7 @@ def detect_expected(
 def test_on_unknown_cells_a_tracked_person_stays_moving_where_he_is_expected() -> None:
     scan = take_scan(POSE, discs=[PERSON])
     found = detect_expected(scan, NEVER_SEEN, PERSON[:2], [-9.0, 9.0])
-    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(found.is_moving, is_person(scan))
     assert (found.reason[found.is_moving] == reasons.TRACKED).all()
     assert (found.reason[~found.is_moving] == reasons.UNKNOWN).all()
     assert found.n_clusters == 1
@@ -139,7 +139,7 @@ def test_a_wall_does_not_move_because_somebody_is_expected_before_it() -> None:
 
 def test_a_single_beam_moves_where_somebody_is_expected() -> None:
     scan = take_scan(POSE, discs=[PERSON])
-    alone = int(np.flatnonzero(scan.truth.is_moving)[2])  # type: ignore[union-attr]
+    alone = int(np.flatnonzero(is_person(scan))[2])
     plain, grid = take_scan(POSE), seen_room()
     plain.ranges[alone] = scan.ranges[alone]
     assert np.flatnonzero(detect_expected(plain, grid, PERSON[:2]).is_moving).tolist() == [alone]
@@ -232,10 +232,10 @@ def test_an_error_common_to_the_scan_is_found_by_consensus() -> None:
     assert scan.truth is not None
     config = EllipseTestConfig(is_common_mode=True)
     found = detect(scan, seen_room(), config)
-    np.testing.assert_array_equal(found.is_moving, scan.truth.is_moving)
+    np.testing.assert_array_equal(found.is_moving, is_person(scan))
     # a yaw error of two standard deviations would flag walls; the sigma points on them outweigh the others
     turned = se2.compose(POSE, np.array([0.0, 0.0, 0.04]))
     cov = np.diag([0.01, 0.01, 0.02]) ** 2
     wrong = detect_moving(scan, scan.is_valid(), turned, cov, seen_room(), config, ClusterConfig())
-    assert (wrong.is_moving & ~scan.truth.is_moving).sum() <= 2
-    assert (wrong.is_moving & scan.truth.is_moving).sum() > 0.7 * scan.truth.is_moving.sum()
+    assert (wrong.is_moving & ~is_person(scan)).sum() <= 2
+    assert (wrong.is_moving & is_person(scan)).sum() > 0.7 * is_person(scan).sum()

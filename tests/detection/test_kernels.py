@@ -1,12 +1,13 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slammot_graph.core import se2
-from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import _kernels
 from slammot_graph.detection.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
 
@@ -17,7 +18,8 @@ L_FREE, L_OCCUPIED = math.log(0.25), math.log(4.0)
 
 def random_cov(rng: np.random.Generator, stds: list[float]) -> FloatArray:
     root = rng.normal(size=(len(stds), len(stds))) * np.array(stds)[:, None]
-    return root @ root.T + 1e-12 * np.eye(len(stds))
+    cov: FloatArray = root @ root.T + 1e-12 * np.eye(len(stds))
+    return cov
 
 
 def end_point(T: FloatArray, origin: FloatArray, r: FloatArray, angle: FloatArray) -> FloatArray:
@@ -66,7 +68,7 @@ def run_ellipse_test(
     point: FloatArray,
     cov: FloatArray,
     *,
-    stamp: IntArray | None = None,
+    stamp: npt.NDArray[np.int32] | None = None,
     oldest: int = 0,
     is_fixed: bool = True,
     max_cells: int = 10_000,
