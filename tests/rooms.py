@@ -8,7 +8,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
-from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs.source import SkippedScan
 
 LASER = LaserModel(
@@ -59,7 +59,15 @@ def wall_distance(points: FloatArray, walls: FloatArray) -> FloatArray:
     a, e = walls[:, :2], walls[:, 2:] - walls[:, :2]
     offset = points[..., None, :] - a
     share = np.clip(np.sum(offset * e, axis=-1) / np.maximum(np.sum(e * e, axis=-1), 1e-12), 0.0, 1.0)
-    return np.linalg.norm(offset - share[..., None] * e, axis=-1).min(axis=-1)
+    distance_m: FloatArray = np.linalg.norm(offset - share[..., None] * e, axis=-1).min(axis=-1)
+    return distance_m
+
+
+def is_person(scan: Scan) -> BoolArray:
+    """(n,) the beams that truly hit somebody."""
+    assert scan.truth is not None
+    assert scan.truth.is_moving is not None
+    return scan.truth.is_moving
 
 
 def take_scan(

@@ -56,7 +56,9 @@ def test_graph_finds_its_way_and_the_person() -> None:
 def test_the_person_is_tracked_where_he_walks() -> None:
     pipeline, steps = run(drive(100))
     start = pipeline.final().T_map_base[0]
-    T_start = steps[0].scan.truth.T_world_base  # type: ignore[union-attr]
+    truth = steps[0].scan.truth
+    assert truth is not None and truth.T_world_base is not None
+    T_start = truth.T_world_base
     np.testing.assert_allclose(start, 0.0, atol=1e-9)
     distances = []
     for step in steps[20:]:
@@ -147,8 +149,11 @@ def test_the_tests_covariance_is_the_one_asked_for() -> None:
 
 def test_docpfo_and_icp_differ_in_the_filter() -> None:
     log = drive(30)
+    plain = METHODS["icp"].config
+    assert isinstance(DOCPFO, PipelineConfig)
+    assert isinstance(plain, PipelineConfig)
     _, paper = run(log, DOCPFO)
-    _, icp = run(log, METHODS["icp"].config)
+    _, icp = run(log, plain)
     assert not any(step.is_moving.any() for step in icp)
     assert any(step.is_moving.any() for step in paper)
     for step in paper[1:]:
@@ -304,8 +309,9 @@ def test_after_failures_in_a_row_a_new_local_map_begins() -> None:
     assert min(told) == 25
     assert told[last][1] == "lost: 3 matches failed in a row, a new local map begins here"
     assert steps[last].node is not None
-    assert steps[last + 1].match is not None
-    assert steps[last + 1].match.status == "converged"
+    match = steps[last + 1].match
+    assert match is not None
+    assert match.status == "converged"
     assert np.isfinite(pipeline.final().T_map_base).all()
     pipeline.close()
 

@@ -46,7 +46,9 @@ def recall(steps: list[StepResult], person: int, xs: FloatArray, low: float, hig
     found = seen = 0
     for step, x in zip(steps[N_EMPTY:], xs, strict=True):
         if low < x < high:
-            truth = step.scan.truth.object_id == person  # type: ignore[union-attr]
+            assert step.scan.truth is not None
+            assert step.scan.truth.object_id is not None
+            truth = step.scan.truth.object_id == person
             seen += truth.sum()
             found += (truth & step.is_moving).sum()
     assert seen > 40

@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def reference(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def arrays_of(path: Path) -> dict[str, np.ndarray]:
+def arrays_of(path: Path) -> dict[str, Any]:
     with np.load(path) as file:
         return {key: file[key] for key in file.files}
 

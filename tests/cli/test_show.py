@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL.GifImagePlugin import GifImageFile
 
 from slammot_graph import cli
 from slammot_graph.logs import write_npz_log
@@ -131,7 +131,7 @@ def test_a_run_becomes_a_gif(
     assert [path.name for path in output.parent.iterdir()] == ["run.gif"]
     with np.load(folder / "points.npz") as file:
         n_moving = (file["is_moving"] & file["is_valid"]).sum(axis=1)[::4]
-    with Image.open(output) as image:
+    with GifImageFile(output) as image:
         assert (image.format, image.n_frames) == ("GIF", 10)
         assert image.info["duration"] == 200
         assert image.info["loop"] == 0

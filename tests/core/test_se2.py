@@ -110,8 +110,8 @@ def test_batches_equal_single_calls(rng: np.random.Generator) -> None:
     for function in (se2.compose, se2.between):
         assert_same(function(a, b), np.array([function(x, y) for x, y in zip(a, b, strict=True)]))
         assert_same(function(a[0], b), np.array([function(a[0], y) for y in b]))
-    for function in (se2.inverse, se2.exp, se2.log):
-        assert_same(function(a), np.array([function(x) for x in a]))
+    for of_one in (se2.inverse, se2.exp, se2.log):
+        assert_same(of_one(a), np.array([of_one(x) for x in a]))
     np.testing.assert_allclose(se2.adjoint(a), [se2.adjoint(x) for x in a])
     np.testing.assert_allclose(
         se2.transform(a, points), [se2.transform(x, p) for x, p in zip(a, points, strict=True)]

@@ -32,7 +32,8 @@ def plain_block_covariances(
 
 def random_information(rng: np.random.Generator, rank: int = 3) -> FloatArray:
     root = rng.normal(size=(3, rank)) * np.array([100.0, 60.0, 300.0])[:, None]
-    return root @ root.T
+    information: FloatArray = root @ root.T
+    return information
 
 
 @given(seed=st.integers(0, 2**32 - 1), n_nodes=st.integers(1, 7), n_more=st.integers(0, 8))
@@ -40,7 +41,7 @@ def test_covariances_are_the_diagonal_blocks_of_a_dense_inverse(seed: int, n_nod
     """Each node hangs on an earlier one or the held one, by either end; more edges, of any rank, close loops."""
     rng = np.random.default_rng(seed)
     ends = [[k, int(rng.integers(-1, k))] for k in range(n_nodes)]
-    ends += [rng.choice(n_nodes + 1, 2, replace=False) - 1 for _ in range(n_more)]
+    ends += [(rng.choice(n_nodes + 1, 2, replace=False) - 1).tolist() for _ in range(n_more)]
     nodes = rng.permuted(np.array(ends), axis=1)
     T_from_to = rng.normal(0.0, [3.0, 3.0, 2.0], (len(nodes), 3))
     firm = [random_information(rng) + np.diag([1e3, 1e3, 1e4]) for _ in range(n_nodes)]

@@ -118,7 +118,8 @@ def grown(information: FloatArray, n_maps: int = 6, n_overlap: int = 8, n_full: 
     """(maps, n_overlap, 3, 3) covariances on each change of map, along a straight way."""
     factors, poses = LocalFactors(), poses_of(n_full + 7 * n_maps, STRAIGHT)
     factors.start(poses[0])
-    covs, last = [], n_full - 1
+    covs: list[FloatArray] = []
+    last = n_full - 1
     for k in range(1, len(poses)):
         factors.add(STRAIGHT, INFORMATION_ODOMETRY, poses[k], information)
         if k == last and len(covs) < n_maps:

@@ -26,9 +26,10 @@ def graph() -> Iterator[PoseGraph]:
 
 def random_information(rng: np.random.Generator) -> FloatArray:
     root = rng.normal(size=(3, 3))
-    return np.linalg.inv(
+    information: FloatArray = np.linalg.inv(
         np.diag([0.05, 0.04, 0.02]) @ (root @ root.T + np.eye(3)) @ np.diag([0.05, 0.04, 0.02])
-    )
+    ).astype(np.float64)
+    return information
 
 
 def fill(graph: PoseGraph, rng: np.random.Generator, n: int = 25) -> None:

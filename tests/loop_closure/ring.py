@@ -44,7 +44,7 @@ def ring_log(seed: int, *, noise_scale: float = 2.0) -> SimulatedLog:
     return SimulatedLog(
         name="ring",
         laser=laser.model,
-        stamps=0.2 * np.arange(n),
+        stamps=0.2 * np.arange(float(n)),
         ranges=ranges,
         T_odom_base=T_odom_base,
         T_world_base=T_world_base,

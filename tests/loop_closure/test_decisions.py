@@ -14,7 +14,7 @@ from slammot_graph.loop_closure.submap import Submap
 from slammot_graph.mapping.local_map import Keyframe, LocalMapConfig
 from tests.rooms import errors
 
-STEP_COV = np.diag([0.1, 0.1, 0.02]) ** 2
+STEP_COV: FloatArray = np.diag([0.1, 0.1, 0.02]) ** 2
 COV = np.diag([0.2, 0.2, 0.05]) ** 2
 CLOSURE_COV = np.diag([0.01, 0.01, 0.005]) ** 2
 N_NODES = 60
@@ -27,7 +27,7 @@ def there_and_back(step_cov: FloatArray) -> LoopCloser:
     for k in range(1, N_NODES):
         step = np.array([1.0, 0.0, np.pi if k == N_NODES // 2 else 0.0])
         graph.add_node(se2.compose(graph.pose(k - 1), step))
-        graph.add_edge("odometry", k - 1, k, step, np.linalg.inv(step_cov))
+        graph.add_edge("odometry", k - 1, k, step, np.linalg.inv(step_cov).astype(np.float64))
         graph.update()
     return LoopCloser(LoopClosureConfig(), LocalMapConfig(), graph)
 

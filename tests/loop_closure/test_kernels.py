@@ -1,11 +1,12 @@
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter
 
 from slammot_graph.core import se2
-from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.loop_closure import _kernels
 
 seeds = st.integers(0, 2**32 - 1)
@@ -13,7 +14,7 @@ CELL = 0.25
 FAR = np.full(3, 1e9)
 
 
-def pyramid_of(score: IntArray, n_levels: int) -> IntArray:
+def pyramid_of(score: npt.NDArray[np.int16], n_levels: int) -> npt.NDArray[np.int16]:
     pyramid = np.empty((n_levels, *score.shape), dtype=np.int16)
     pyramid[0] = score
     for level in range(1, n_levels):
@@ -65,8 +66,8 @@ class Case:
     ) -> tuple[int, FloatArray]:
         out = np.full(3, np.nan)
         best = _kernels.branch_and_bound(
-            self.pyramid, *self.origin, 1.0 / CELL, self.points, self.centre, self.n_cells, self.n_turns,
-            self.turn_step, excluded, exclude_m, exclude_rad, min_score, out,
+            self.pyramid, self.origin[0], self.origin[1], 1.0 / CELL, self.points, self.centre,
+            self.n_cells, self.n_turns, self.turn_step, excluded, exclude_m, exclude_rad, min_score, out,
         )  # fmt: skip
         return best, out
 
@@ -87,7 +88,7 @@ class Case:
         return np.array(poses), np.array(values)
 
 
-def is_near(poses: FloatArray, excluded: FloatArray, exclude_m: float, exclude_rad: float) -> FloatArray:
+def is_near(poses: FloatArray, excluded: FloatArray, exclude_m: float, exclude_rad: float) -> BoolArray:
     apart = poses - excluded
     turned = np.abs((apart[:, 2] + np.pi) % (2 * np.pi) - np.pi)
     return (np.hypot(apart[:, 0], apart[:, 1]) < exclude_m) & (turned < exclude_rad)

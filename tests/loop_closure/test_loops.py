@@ -8,6 +8,8 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.results import RunResult
 from slammot_graph.core.types import FloatArray
+from slammot_graph.localization import ScanToMap
+from slammot_graph.pipeline import Pipeline
 from slammot_graph.run import Run
 from slammot_graph.simulation import SimulatedLog, simulate
 from tests.loop_closure.ring import closure_errors, ring_log, true_path
@@ -107,10 +109,13 @@ def test_in_a_known_place_the_graph_gets_few_nodes_and_no_worse() -> None:
     run = Run(log, "graph")
     nodes, known = [], []
     for step in run:
-        localizer = run.pipeline.localizer  # type: ignore[union-attr]
+        assert isinstance(run.pipeline, Pipeline)
+        localizer = run.pipeline.localizer
+        assert isinstance(localizer, ScanToMap)
+        assert localizer.closer is not None
         nodes.append(step.node is not None)
-        known.append(localizer.closer.is_known)  # type: ignore[attr-defined]
-        assert localizer.local_map.anchor.node >= 0  # type: ignore[attr-defined]
+        known.append(localizer.closer.is_known)
+        assert localizer.local_map.anchor.node >= 0
     result = run.result()
     first, _, last = np.array_split(nodes, 3)
     assert not any(known[: len(first) // 2])

@@ -26,7 +26,7 @@ def carried(log: SimulatedLog, start: int, end: int) -> SimulatedLog:
     return SimulatedLog(
         name="carried",
         laser=log.laser,
-        stamps=0.1 * np.arange(len(row)),
+        stamps=0.1 * np.arange(float(len(row))),
         ranges=ranges,
         T_odom_base=T_odom_base,
         T_world_base=log.T_world_base[row],

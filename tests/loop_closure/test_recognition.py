@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def meet() -> Iterator[Meet]:
         T_b: FloatArray = B,
         path_m: float = 20.0,
         turn: float = 0.04,
-        **changes: float,
+        **changes: Any,
     ) -> tuple[LoopCloser, bool, list[str]]:
         truth = np.vstack([drive_from(A, turn), drive_from(T_b, turn)])
         graph.start(np.zeros(3))
@@ -96,7 +97,8 @@ def assert_refused(outcome: tuple[LoopCloser, bool, list[str]], reason: str) -> 
     assert len(events) == 1
     assert events[0].startswith("closure 0-9 refused: ")
     assert reason in events[0]
-    assert closer.accepted == closer.pending == []
+    assert not closer.accepted
+    assert not closer.pending
     assert all(edge.kind == "odometry" for edge in closer.graph.edges)
     assert len(closer.submaps) == 2
 

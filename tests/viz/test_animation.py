@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL.GifImagePlugin import GifImageFile
 
 from slammot_graph import Run
 from slammot_graph.run_folder.reader import RunFolder, read_run_folder
@@ -65,7 +65,7 @@ def test_the_frames_of_a_gif_are_as_drawn(folder: RunFolder, tmp_path: Path) -> 
     assert told == list(range(1, len(rows) + 1))
     stage = _Stage(folder, log_name=log().path.name)
     colors = stage.colors().astype(int)
-    with Image.open(path) as image:
+    with GifImageFile(path) as image:
         assert image.n_frames == len(rows)
         for number, row in enumerate(rows):
             image.seek(number)

@@ -22,7 +22,7 @@ from slammot_graph.core.results import ClosureAttempt, ClosureStatus, GridMap, R
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.localization import ScanToMap
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
-from slammot_graph.pipeline import Pipeline
+from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.viz.rerun import recording
 from slammot_graph.viz.rerun.recording import COLOR_CELLS, NoRunLog, RerunLog
 from tests.loop_closure.ring import ring_log
@@ -104,6 +104,7 @@ def ring(tmp_path_factory: pytest.TempPathFactory, strict: None) -> Ring:
         log.log_step(step)
         ring.steps.append(step)
         assert log.wants_nodes == any(attempt.status == "accepted" for attempt in step.closures)
+        assert isinstance(run.pipeline, Pipeline)
         assert isinstance(run.pipeline.localizer, ScanToMap)
         nodes_before = nodes
         if step.node is not None:
@@ -155,7 +156,7 @@ class Picture:
     def centres_map(self) -> FloatArray:
         """(rows * cols, 2) [m]."""
         rows, cols = np.indices(self.state.shape)
-        xy = self.size_m * (np.column_stack([cols.ravel(), rows.ravel()]) + 0.5)
+        xy = self.size_m * (np.column_stack([cols.ravel(), rows.ravel()]).astype(np.float64) + 0.5)
         return se2.transform(self.T_map_corner, xy)
 
     def at(self, points_map: FloatArray) -> IntArray:
@@ -189,7 +190,9 @@ def pictures(path: Path) -> dict[int, Picture | None]:
 
 def states_of(p_occupied: FloatArray) -> IntArray:
     """States of cells: 0 unknown, 1 free, 2 occupied."""
-    config = get_method("graph").config.local_grid
+    pipeline = get_method("graph").config
+    assert isinstance(pipeline, PipelineConfig)
+    config = pipeline.local_grid
     with np.errstate(invalid="ignore"):
         return np.where(p_occupied < config.p_free, 1, np.where(p_occupied > config.p_occupied, 2, 0))
 
