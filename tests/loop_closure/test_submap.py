@@ -97,9 +97,10 @@ def test_scores_are_most_on_points_half_beside_and_a_loss_in_free_space(
     submap: Submap, prepared: PreparedSubmap
 ) -> None:
     points, _ = submap.points_and_normals
-    rows, cols = prepared.score.shape
-    at = np.floor((points - prepared.origin) / CELL_M).astype(int)
-    cells: set[tuple[int, int]] = set(zip(at[:, 1].tolist(), at[:, 0].tolist(), strict=True))
+    rows, cols = prepared.pyramid.shape[1:]
+    cells = {
+        tuple(cell) for cell in np.floor((points - prepared.origin) / CELL_M).astype(int)[:, ::-1].tolist()
+    }
     beside = {(i + a, j + b) for i, j in cells for a in (-1, 0, 1) for b in (-1, 0, 1)} - cells
     for i in range(rows):
         for j in range(cols):
