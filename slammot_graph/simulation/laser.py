@@ -7,10 +7,10 @@ from types import MappingProxyType
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core._numba import kernel
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.scan import LaserModel
 from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.simulation import _ray_kernels
 
 HIT_NOTHING = -2
 HIT_STATIC = -1
@@ -175,7 +175,7 @@ def cast_rays(
         angle_min, increment = angle_min + (n_beams - 1) * increment, -increment
     ranges = np.full((len(T_world_laser), n_beams), np.inf)
     hits = np.full((len(T_world_laser), n_beams), HIT_NOTHING, dtype=np.int64)
-    _cast(
+    _ray_kernels.cast(
         np.ascontiguousarray(T_world_laser, dtype=np.float64),
         angle_min,
         increment,
@@ -273,89 +273,3 @@ def _mix(
     mixed = np.where(is_blend, between, nearer)
     mixed_hit = np.where(is_blend, blend_hit, nearer_hit)
     return np.where(draws.is_mixed, mixed, centre), np.where(draws.is_mixed, mixed_hit, centre_hit)
-
-
-@kernel
-def _cast(
-    T_world_laser: FloatArray,
-    angle_min: float,
-    increment: float,
-    range_max: float,
-    segments: FloatArray,
-    circles: FloatArray,
-    ranges: FloatArray,
-    hits: IntArray,
-) -> None:
-    """Fill `ranges` (infinite) and `hits`: each shape only meets the beams of its own bounding angle."""
-    n_beams = ranges.shape[1]
-    beam_cos = np.cos(angle_min + increment * np.arange(n_beams))
-    beam_sin = np.sin(angle_min + increment * np.arange(n_beams))
-    turn = 2.0 * np.pi
-    for i in range(T_world_laser.shape[0]):
-        ox, oy = T_world_laser[i, 0], T_world_laser[i, 1]
-        c, s = np.cos(T_world_laser[i, 2]), np.sin(T_world_laser[i, 2])
-        for k in range(segments.shape[0]):
-            # end points in the laser's frame
-            dx, dy = segments[k, 0] - ox, segments[k, 1] - oy
-            ax, ay = c * dx + s * dy, -s * dx + c * dy
-            dx, dy = segments[k, 2] - ox, segments[k, 3] - oy
-            bx, by = c * dx + s * dy, -s * dx + c * dy
-            wx, wy = bx - ax, by - ay
-            length2 = wx * wx + wy * wy
-            if length2 == 0.0:
-                continue
-            t = min(1.0, max(0.0, -(ax * wx + ay * wy) / length2))
-            near2 = (ax + t * wx) ** 2 + (ay + t * wy) ** 2
-            if near2 > range_max * range_max:
-                continue
-            a_angle, b_angle = np.arctan2(ay, ax), np.arctan2(by, bx)
-            span = (b_angle - a_angle + np.pi) % turn - np.pi
-            low = a_angle if span >= 0.0 else b_angle
-            span = abs(span)
-            if near2 < 1e-12 * length2:  # the laser is on the segment: any beam may meet it
-                low, span = angle_min, turn
-            cross_a = ax * wy - ay * wx
-            start = (low - angle_min) % turn
-            for wrap in range(2):
-                first = max(0, int(np.ceil((start - wrap * turn) / increment)) - 1)
-                last = min(n_beams - 1, int(np.floor((start - wrap * turn + span) / increment)) + 1)
-                for j in range(first, last + 1):
-                    cross = beam_cos[j] * wy - beam_sin[j] * wx
-                    if cross == 0.0:
-                        continue
-                    distance = cross_a / cross
-                    if distance < 0.0 or distance > range_max or distance >= ranges[i, j]:
-                        continue
-                    share = (ax * beam_sin[j] - ay * beam_cos[j]) / cross
-                    if -1e-9 <= share <= 1.0 + 1e-9:
-                        ranges[i, j] = distance
-                        hits[i, j] = -1
-        for k in range(circles.shape[1]):
-            if np.isnan(circles[i, k, 0]):
-                continue
-            dx, dy, radius = circles[i, k, 0] - ox, circles[i, k, 1] - oy, circles[i, k, 2]
-            ax, ay = c * dx + s * dy, -s * dx + c * dy
-            centre2 = ax * ax + ay * ay
-            if centre2 > (range_max + radius) ** 2:
-                continue
-            if centre2 <= radius * radius:
-                low, span = angle_min, turn
-            else:
-                half = np.arcsin(radius / np.sqrt(centre2))
-                low, span = np.arctan2(ay, ax) - half, 2.0 * half
-            start = (low - angle_min) % turn
-            for wrap in range(2):
-                first = max(0, int(np.ceil((start - wrap * turn) / increment)) - 1)
-                last = min(n_beams - 1, int(np.floor((start - wrap * turn + span) / increment)) + 1)
-                for j in range(first, last + 1):
-                    along = ax * beam_cos[j] + ay * beam_sin[j]
-                    aside = ax * beam_sin[j] - ay * beam_cos[j]
-                    half2 = radius * radius - aside * aside
-                    if half2 < 0.0:
-                        continue
-                    distance = along - np.sqrt(half2)
-                    if distance < 0.0:
-                        distance = along + np.sqrt(half2)
-                    if 0.0 <= distance <= range_max and distance < ranges[i, j]:
-                        ranges[i, j] = distance
-                        hits[i, j] = k
