@@ -1,6 +1,8 @@
 """The command line ``slammot-graph``: each command is a function, and `main` turns errors into exit codes.
 
-Whatever is heavy (gtsam, rerun, matplotlib, kiss_icp) is imported by the command that needs it.
+A file for each group of commands: it parses, calls `run` or what lies above it, and prints.
+Imports no part of a method (`tests/test_architecture.py` lists what it may); whatever is heavy (gtsam, rerun,
+matplotlib, kiss_icp) is imported by the command that needs it.
 """
 
 import os

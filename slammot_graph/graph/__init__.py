@@ -1,4 +1,8 @@
-"""The pose graph, its part around the local map, and the noise of its odometry factors."""
+"""The pose graph and the factors around the local map: the only importer of gtsam.
+
+Nodes are poses of keyframes, edges are odometry, matches and closures; covariances come from here.
+Imports `core` only.
+"""
 
 from slammot_graph.graph.local_factors import LocalFactors
 from slammot_graph.graph.pose_graph import PoseGraph, PoseGraphConfig

@@ -71,6 +71,8 @@ class OccupancyGrid:
         Global cell index of storage cell [0, 0] (0 for a rolling grid).
     oldest : int
         Cells with an older stamp have expired.
+
+    Over 12 attributes because the kernels take the storage and the log odds of each probability one by one.
     """
 
     def __init__(self, config: GridConfig, *, window_m: float | None = None) -> None:

@@ -1,3 +1,8 @@
+"""The command line from its arguments to its exit code.
+
+Over 400 lines because each command's options and complaints are tried one by one.
+"""
+
 import json
 import os
 import signal

@@ -1,3 +1,8 @@
+"""Bags in each format, made for each case.
+
+Over 400 lines because each case builds a bag of its own.
+"""
+
 import math
 import re
 import shutil

@@ -1,3 +1,8 @@
+"""The kernels of a match and of the field of nearest points.
+
+Over 400 lines because each kernel stands beside its plain twin.
+"""
+
 import math
 from dataclasses import dataclass
 

@@ -1,3 +1,8 @@
+"""The tracker on walks that are written out.
+
+Over 400 lines because each case builds its own walks.
+"""
+
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import cast
