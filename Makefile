@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.ready-docs
+# lines of the package that the tests run, in percent; numba's kernels are not counted
+COVERAGE := 90
 
 .PHONY: demo test bench docs format clean clean-kernels
 
@@ -14,7 +16,7 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --cov --cov-report=term --cov-fail-under=$(COVERAGE)
 
 bench: $(READY)
 	$(BIN)/python -m experiments.speed --gate
@@ -31,7 +33,7 @@ clean-kernels:
 	find slammot_graph -name '*.nb[ic]' -delete
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage
 	find slammot_graph tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(READY): pyproject.toml

@@ -536,7 +536,10 @@ def main(argv: list[str] | None = None) -> int:
     """Run from the command line; mistakes become one line and exit code 2."""
     try:
         options = tyro.cli(
-            SpeedOptions, args=argv, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,)
+            SpeedOptions,
+            args=argv,
+            description=(__doc__ or "").rpartition("\n\n")[0],
+            config=(tyro.conf.FlagCreatePairsOff,),
         )
         if options.gate:
             return gate(options.baseline)
