@@ -47,7 +47,7 @@ def key(scenario: str, seed: int, method: str) -> str:
 
 
 def experiment(options: Options) -> None:
-    """Every method of the ladder and both kiss-icp baselines on every scenario."""
+    """Every method of the registry and both kiss-icp baselines on every scenario."""
     seeds = options.seed_range(FULL_SEEDS)
     scenarios = QUICK_SCENARIOS if options.quick else tuple(SCENARIOS)
     cells = {

@@ -82,7 +82,7 @@ def experiment(options: Options) -> None:
 
     bounds = average_nees(np.zeros(1), dof=3, n_independent=len(seeds))
     notes = [
-        f"{len(seeds)} runs each, seeds from {FIRST_SEED} on; the NEES of a run is its mean over the scans. An honest"
+        f"{len(seeds)} runs each, seeds from {FIRST_SEED} on; the NEES of a run is its mean over the scans. A consistent"
         f" covariance has an average NEES of 3, within {bounds.lower:.2f} to {bounds.upper:.2f} for so many independent"
         " samples, and 95% of the errors within its 95% ellipsoid. Above: optimistic, below: pessimistic.",
         "Corridors apart: along a bare corridor the odometry alone carries the robot.",
@@ -98,7 +98,7 @@ def _table(names: list[str], column: Callable[[str, str], list[float]], lower: f
             anees = float(np.mean(column(name, f"{covariance} nees")))
             covered = float(np.mean(column(name, f"{covariance} covered")))
             verdict = (
-                "honest" if lower <= anees <= upper else "optimistic" if anees > upper else "pessimistic"
+                "consistent" if lower <= anees <= upper else "optimistic" if anees > upper else "pessimistic"
             )
             rows.append([what, name, number(anees, 2), f"{covered:.1%}", verdict])
     columns = ["covariance", "scenario", "average NEES", "within 95%", ""]
@@ -109,7 +109,7 @@ def _innovations(names: list[str], column: Callable[[str, str], list[float]]) ->
     rows = [[name, median_interval(column(name, "nis"), 2)] for name in names]
     return Table(
         heading="Innovations: prediction against match",
-        columns=["scenario", "mean NIS (3 if honest)"],
+        columns=["scenario", "mean NIS (3 if consistent)"],
         rows=rows,
     )
 

@@ -111,7 +111,7 @@ def experiment(options: Options) -> None:
     tables = []
     names = list(scores[key(logs[0], seeds[0], "graph", n_scans)]["strata"])
     for log in logs:
-        tables += [_labels(log, column), _ladder(log, column), _strata(log, names, stratum)]
+        tables += [_labels(log, column), _methods(log, column), _strata(log, names, stratum)]
     share = np.mean([column(log, "graph", "share") for log in logs])
     aside = ", ".join(
         f"{np.mean(column(log, 'graph', 'aside')):.2%} of the valid beams of {log}" for log in logs
@@ -144,7 +144,7 @@ def _labels(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
     return Table(heading=f"{log}: all points", columns=columns, rows=rows)
 
 
-def _ladder(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
+def _methods(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
     p_values = holm(
         {
             f"{a} {b} {labels}": paired_p(column(log, a, f"{labels} iou"), column(log, b, f"{labels} iou"))

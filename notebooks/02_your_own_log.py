@@ -158,7 +158,7 @@ plt.show()
 #
 # `covariances.npz` holds a 3 x 3 matrix for each pose, in the order x, y, heading, in the axes of the robot (x is
 # forward). The roots of the diagonal are standard deviations. They are relative to where the run began, so they start
-# at zero and grow along the way; a loop closure brings them down again. They are optimistic about errors that
+# at zero and grow along the path; a loop closure brings them down again. They are optimistic about errors that
 # neighbouring scans share (see the README's limits).
 
 # %%

@@ -42,13 +42,13 @@ path_m = np.insert(np.cumsum(np.hypot(*np.diff(log.T_world_base[:, :2], axis=0).
 print(f"{log.n_scans} scans over {path_m[-1]:.0f} m, {log.objects.shape[1]} people")
 
 # %% [markdown]
-# ## The absolute marginal grows with the way
+# ## The absolute marginal grows with the distance driven
 #
 # `graph-noloop` is our method without loop closure. Here it runs three times over the same log, with a different
 # covariance in the test each time. `StepResult.cov_relative` holds the one that the test used; `StepResult.cov_map` is
 # always the absolute one of the pose after the match.
 #
-# Errors of matching add up along the way, and the absolute marginal says so, quite rightly: after a long way the robot
+# Errors of matching add up along the path, and the absolute marginal says so, correctly: after a long drive the robot
 # knows less well where it is, seen from its start. (It falls for a while where the robot comes back towards its start:
 # the error in heading has a shorter lever there.)
 #
@@ -78,8 +78,8 @@ for name, of_method in steps.items():
     axes[1].plot(path_m, np.degrees(std[:, 2]), label=name, linewidth=1)
 after_match = np.sqrt([np.trace(step.cov_map[:2, :2]) for step in steps["relative"]])
 axes[0].plot(path_m, after_match, "k:", label="cov_map", linewidth=1)
-axes[0].set(xlabel="way [m]", ylabel="std of the position [m]")
-axes[1].set(xlabel="way [m]", ylabel="std of the heading [degrees]")
+axes[0].set(xlabel="distance [m]", ylabel="std of the position [m]")
+axes[1].set(xlabel="distance [m]", ylabel="std of the heading [degrees]")
 axes[0].legend()
 plt.show()
 
@@ -89,9 +89,9 @@ plt.show()
 # The test compares a scan with cells that the robot saw a short while ago, from almost the same place. What matters is
 # the error of the scan *against those cells*. An error that the scan and the cells share, because both were placed by
 # the same drifted pose, moves them together and changes nothing. The absolute marginal counts that error in. So its
-# ellipses grow with the way, reach walls and unknown cells, and then make people static.
+# ellipses grow with the distance, reach walls and unknown cells, and then make people static.
 #
-# The same scan after a long way, with the three kinds of ellipses (95%; red: called moving; drawn on the map of each
+# The same scan after a long drive, with the three kinds of ellipses (95%; red: called moving; drawn on the map of each
 # run, whose walls are double in places for want of loop closure). Two people walk in front of the robot. On most scans
 # the labels of all three agree; what differs is the room that the ellipses take.
 
@@ -137,12 +137,12 @@ plt.show()
 # %% [markdown]
 # ## What this shows, and what not
 #
-# It shows that the absolute marginal grows with the way and the relative one does not, and what the ellipses look like
+# It shows that the absolute marginal grows with the distance and the relative one does not, and what the ellipses look like
 # then. The last figure is one simulated drive: it illustrates, it proves nothing. Its axes do not begin at zero, so
 # look at the numbers: between relative and absolute they may differ by no more than chance makes them.
 #
-# How much it matters depends on the way between closures. Over the first 2,500 scans of two real logs
+# How much it matters depends on the distance between closures. Over the first 2,500 scans of two real logs
 # (`experiments/tables/moving_points.md`) the absolute marginal did as well as the relative one, on one
 # of them better. The paper's constant R_r found fewer of the moving points on both.
 #
-# And a covariance helps only as far as it is honest. If it is too small, walls begin to move.
+# And a covariance helps only as far as it is consistent. If it is too small, walls begin to move.

@@ -38,7 +38,7 @@ from experiments.tables import Table, bootstrap_median, holm, median_interval, p
 # ## A seed is a pair
 #
 # Everything random in a simulated log comes from its seed: the drive, the slip of the wheels, the noise of the laser,
-# the way of the people. Both methods get the *same* log. So seed 3 is not two independent numbers but a pair, and a
+# the paths of the people. Both methods get the *same* log. So seed 3 is not two independent numbers but a pair, and a
 # hard log is hard for both.
 
 # %%
