@@ -83,7 +83,8 @@ def experiment(options: Options) -> None:
     bounds = average_nees(np.zeros(1), dof=3, n_independent=len(seeds))
     notes = [
         f"{len(seeds)} runs each, seeds from {FIRST_SEED} on; the NEES of a run is its mean over the scans. A"
-        f" consistent covariance has an average NEES of 3, within {bounds.lower:.2f} to {bounds.upper:.2f} for so many independent"
+        f" consistent covariance has an average NEES of 3, within {bounds.lower:.2f} to {bounds.upper:.2f} for so many"
+        " independent"
         " samples, and 95% of the errors within its 95% ellipsoid. Above: optimistic, below: pessimistic.",
         "Corridors apart: along a bare corridor the odometry alone carries the robot.",
     ]

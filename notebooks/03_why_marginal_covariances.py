@@ -138,8 +138,8 @@ plt.show()
 # ## What this shows, and what not
 #
 # It shows that the absolute marginal grows with the distance and the relative one does not, and what the ellipses look
-# like then. The last figure is one simulated drive: it illustrates, it proves nothing. Its axes do not begin at zero, so
-# look at the numbers: between relative and absolute they may differ by no more than chance makes them.
+# like then. The last figure is one simulated drive: it illustrates, it proves nothing. Its axes do not begin at zero,
+# so look at the numbers: between relative and absolute they may differ by no more than chance makes them.
 #
 # How much it matters depends on the distance between closures. Over the first 2,500 scans of two real logs
 # (`experiments/tables/moving_points.md`) the absolute marginal did as well as the relative one, on one

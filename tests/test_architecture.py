@@ -25,6 +25,7 @@ LAYERS = (
     ("localization",),
     ("baselines",),
     ("pipeline_config",),
+    ("old_keys",),
     ("pipeline",),
     ("methods",),
     ("observer",),
@@ -44,6 +45,10 @@ of `pipeline`, in the terms of `localization`. `viz/rerun` shares the colors of 
 
 UPWARD = {
     ("core/results.py", "saving"): "`RunResult.save` calls `saving.save_run`, imported when it is called",
+    (
+        "pipeline_config.py",
+        "old_keys",
+    ): "keys of release 0.1 are accepted for one release; imported where there are any",
 }
 """Imports against the order, each with its reason."""
 
