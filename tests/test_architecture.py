@@ -279,9 +279,7 @@ def test_each_package_says_what_belongs_there_and_what_it_imports() -> None:
             for target in targets - {"__init__"}
             if unit_of(Path(name).parts) == unit and (name, target) not in UPWARD
         }
-        if len([line for line in doc.splitlines() if line.strip()]) < 3 or not re.search(
-            r"\b[Ii]mports?\b", doc
-        ):
+        if len(doc.splitlines()) < 3 or not re.search(r"\b[Ii]mports?\b", doc):
             wrong.append(f"{name_of(path)}: three lines that say what belongs there and what it imports")
         elif unit != "cli" and mine - named:  # the command line's are in `CLI_MAY_IMPORT`
             wrong.append(f"{name_of(path)}: imports {sorted(mine - named)}, which it does not name")

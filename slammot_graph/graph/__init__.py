@@ -1,7 +1,6 @@
-"""The pose graph and the factors around the local map: the only importer of gtsam.
+"""The pose graph, and its factors around the local map.
 
-Nodes are poses of keyframes, edges are odometry, matches and closures; covariances come from here.
-Imports `core` only.
+`pose_graph` is the only importer of gtsam. Imports `core`.
 """
 
 from slammot_graph.graph.local_factors import LocalFactors
