@@ -42,7 +42,7 @@ class MatchResult:
         Robust root mean square of the residuals [m].
     nis : float
         Normalised square of the innovation against the prediction and this match (3 degrees of freedom if both are
-        honest); NaN where the match failed or was made without a prediction.
+        consistent); NaN where the match failed or was made without a prediction.
     reason : str
         Why it failed or is degenerate; empty when converged.
     is_refused : bool

@@ -1,4 +1,7 @@
-"""The pose graph, its part around the local map, and the noise of its odometry factors."""
+"""The pose graph, and its factors around the local map.
+
+`pose_graph` is the only importer of gtsam. Imports `core`.
+"""
 
 from slammot_graph.graph.local_factors import LocalFactors
 from slammot_graph.graph.pose_graph import PoseGraph, PoseGraphConfig

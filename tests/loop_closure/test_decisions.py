@@ -9,8 +9,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
-from slammot_graph.loop_closure.detector import Closure, LoopCloser, LoopClosureConfig
-from slammot_graph.loop_closure.submap import Submap
+from slammot_graph.loop_closure import Closure, LoopCloser, LoopClosureConfig, Submap
 from slammot_graph.mapping.local_map import Keyframe, LocalMapConfig
 from tests.rooms import errors
 
@@ -49,7 +48,7 @@ def stiff_closer() -> Iterator[LoopCloser]:
 
 
 def submap(node: int) -> Submap:
-    """A local map at every second node, numbered along the way."""
+    """A local map at every second node, numbered along the path."""
     nothing = np.empty((0, 2))
     keyframe = Keyframe(
         node=node, T_local_base=np.zeros(3), points_base=nothing, normals_base=nothing, laser_base=np.zeros(2)
@@ -114,7 +113,7 @@ def test_the_limits_are_those_of_the_configuration(closer: LoopCloser) -> None:
     assert decide(closer, 0, 58, (0.0, 0.99 * most * std, 0.0)) == (True, "accepted")
 
 
-def test_a_surprising_closure_waits_for_a_second_that_agrees(closer: LoopCloser) -> None:
+def test_an_unlikely_closure_waits_for_a_consistent_second_one(closer: LoopCloser) -> None:
     before, moved = closer.graph.poses(), np.array([0.1, 1.5, 0.02])
     accepted, reason = decide(closer, 10, 50, moved)
     assert not accepted
@@ -154,7 +153,7 @@ def test_neighbours_and_places_far_apart_confirm_nothing(closer: LoopCloser) -> 
     assert decide(closer, 6, 56, moved)[1].startswith("waits")
     assert decide(closer, 2, 58, moved)[1].startswith("waits")
     closer.pending = closer.pending[:1]
-    # the way between, 44 m, is as uncertain as what is to be confirmed
+    # the path between, 44 m, is as uncertain as what is to be confirmed
     assert decide(closer, 26, 34, moved)[1].startswith("waits")
     assert len(closer.pending) == 2
 
@@ -167,7 +166,7 @@ def accept_some(closer: LoopCloser) -> FloatArray:
     return closer.graph.poses()
 
 
-def test_a_closure_that_the_others_contradict_is_taken_back(stiff_closer: LoopCloser) -> None:
+def test_a_closure_that_the_others_contradict_is_rejected(stiff_closer: LoopCloser) -> None:
     closer, before = stiff_closer, accept_some(stiff_closer)
     assert decide(closer, 13, 47, (1.0, -2.0, 0.3), cov=25.0 * np.eye(3)) == (True, "accepted")
     assert np.abs(closer.graph.poses() - before).max() > 0.1
@@ -182,7 +181,7 @@ def test_a_closure_that_the_others_contradict_is_taken_back(stiff_closer: LoopCl
     assert closer.reject_outliers() == []
 
 
-def test_several_wrong_closures_are_taken_back_one_by_one(stiff_closer: LoopCloser) -> None:
+def test_several_wrong_closures_are_rejected_one_by_one(stiff_closer: LoopCloser) -> None:
     closer, before = stiff_closer, accept_some(stiff_closer)
     for target, source, moved in ((13, 47, (1.0, -2.0, 0.3)), (7, 53, (-2.0, 1.0, -0.2))):
         assert decide(closer, target, source, moved, cov=25.0 * np.eye(3))[0]
