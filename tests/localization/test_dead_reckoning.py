@@ -1,3 +1,5 @@
+from dataclasses import asdict
+
 import numpy as np
 
 from slammot_graph.core import se2
@@ -16,7 +18,8 @@ def test_trajectory_is_the_odometry_from_its_start() -> None:
     for k, scan in enumerate(log):
         predicted = localizer.predict(scan)
         matched, match = localizer.match(scan.points_base(), scan.is_valid())
-        assert localizer.commit(scan, scan.points_base(), scan.is_valid()) == CommitResult()
+        committed = localizer.commit(scan, scan.points_base(), scan.is_valid())
+        assert asdict(committed) == asdict(CommitResult())
         assert match is None
         assert matched is predicted
         np.testing.assert_allclose(predicted.T_local_base, expected[k], atol=1e-12)

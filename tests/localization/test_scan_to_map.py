@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,9 +8,10 @@ from slammot_graph.core import se2
 from slammot_graph.core.linalg import is_covariance
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
-from slammot_graph.odometry import OdometryNoise, WheelOdometry
+from slammot_graph.odometry import Motion, OdometryNoise, WheelOdometry
 from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, truth_from_start
 
 N_LOST = 3
@@ -205,3 +207,54 @@ def test_nothing_yet_is_an_empty_trajectory(localizer: ScanToMap) -> None:
     assert final.T_map_base.shape == (0, 3)
     assert final.cov_map.shape == (0, 3, 3)
     assert (len(final.nodes), len(final.node_scans), final.edges) == (0, 0, ())
+
+
+class PreviousMotion:
+    """Without wheels: the motion is that of the scan before."""
+
+    def __init__(self) -> None:
+        self.T_odom_base: FloatArray = np.zeros(3)
+        self._T_local_base: FloatArray | None = None
+        self._increment: FloatArray = np.zeros(3)
+
+    def advance(self, scan: Scan) -> Motion | None:
+        if self._T_local_base is None:
+            return None
+        self.T_odom_base = se2.compose(self.T_odom_base, self._increment)
+        return Motion(increment=self._increment, cov=np.diag([0.05, 0.05, 0.05]) ** 2)
+
+    def correct(self, T_local_base: FloatArray) -> None:
+        if self._T_local_base is not None:
+            self._increment = se2.between(self._T_local_base, T_local_base)
+        self._T_local_base = T_local_base
+
+
+def test_another_motion_model_takes_the_place_of_the_wheels() -> None:
+    """The scans' odometry is not read by any other part."""
+    log = drive(60, with_person=False)
+    localizer = ScanToMap(PreviousMotion(), ScanToMapConfig())
+    for k, scan in enumerate(log):
+        _, _, match, _, texts = step(localizer, replace(scan, T_odom_base=np.full(3, np.nan)))
+        assert texts == []
+        assert match is None if k == 0 else match is not None
+    final = localizer.final()
+    localizer.close()
+    assert max(errors(truth_from_start(log), final.T_map_base)) < 0.02
+    assert all(is_covariance(cov) for cov in final.cov_map)
+
+
+def test_a_commit_tells_of_keyframes_and_losses(localizer: ScanToMap) -> None:
+    log, committed = kidnapped(drive(20, with_person=False), 5), []
+    for scan in log:
+        points, is_valid = scan.points_base(), scan.is_valid()
+        localizer.predict(scan)
+        localizer.match(points, is_valid)
+        committed.append(localizer.commit(scan, points, is_valid))
+    assert [k for k, result in enumerate(committed) if result.is_lost] == [7]
+    assert [event.severity for event in committed[7].events] == ["warning", "error"]
+    assert committed[7].events[1].data == {"cause": "failed matches", "n_scans": N_LOST}
+    assert committed[0].is_keyframe
+    assert committed[7].is_keyframe
+    assert all(result.is_keyframe == (result.node is not None) for result in committed)
+    assert all(result.closures == () for result in committed)
+    assert localizer.insertion.n_times_lost == 1

@@ -1,14 +1,19 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import FloatArray
+from slammot_graph.loop_closure.closure import Closure
 from slammot_graph.loop_closure.relocalization import (
     PlaceHypothesis,
+    Relocalization,
     RelocalizationConfig,
     find_consensus,
 )
+from slammot_graph.loop_closure.submap import Place
 
 CONFIG = RelocalizationConfig()
 
@@ -84,3 +89,72 @@ def test_the_order_of_hypotheses_does_not_matter(seed: int) -> None:
     order = np.random.default_rng(seed).permutation(len(hypotheses))
     shuffled = consensus([hypotheses[k] for k in order])
     assert sorted(int(order[k]) for k in shuffled) == sorted(consensus(hypotheses)) == list(range(7))
+
+
+def closure_for(T_map_new: FloatArray, source: int, component: int = 1) -> Closure:
+    """A local map of the component, at node `source` of a straight graph, seen from node 0."""
+    return Closure(
+        target=Place(number=0, anchor=0, path_m=0.0, component=0),
+        source=Place(number=source, anchor=source, path_m=0.0, component=component),
+        T_target_source=se2.compose(T_map_new, NODES[source]),
+        cov=np.eye(3),
+        information=np.eye(3),
+        overlap=1.0,
+    )
+
+
+NODES = np.array([[float(k), 0.0, 0.0] for k in range(30)])
+
+
+def test_closures_are_collected_until_they_agree_on_where_the_component_lies() -> None:
+    relocalization = Relocalization(CONFIG)
+    closures = [closure_for(TRUE, source) for source in range(10, 10 + CONFIG.min_agreeing_alone)]
+    for closure in closures[:-1]:
+        assert relocalization.collect(closure, NODES) is None
+    found = relocalization.collect(closures[-1], NODES)
+    assert found is not None
+    agreeing, T_map_new = found
+    assert agreeing == closures
+    np.testing.assert_allclose(T_map_new, TRUE, atol=1e-9)
+    assert relocalization.joined == {0}
+    relocalization.join()
+    assert relocalization.joined == {0, 1}
+    assert relocalization.closures == []
+
+
+def test_a_robot_lost_again_begins_anew() -> None:
+    relocalization = Relocalization(CONFIG)
+    for source in range(10, 9 + CONFIG.min_agreeing_alone):
+        relocalization.collect(closure_for(TRUE, source), NODES)
+    later = closure_for(TRUE, 20, component=2)
+    assert relocalization.collect(later, NODES) is None
+    assert relocalization.closures == [later]
+    relocalization.join()
+    assert relocalization.joined == {0, 2}
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "is_apart"),
+    [(0, 0, False), (1, 1, False), (0, 2, False), (0, 1, True), (1, 2, True), (2, 1, True)],
+)
+def test_components_are_apart_until_both_are_joined(a: int, b: int, is_apart: bool) -> None:
+    relocalization = Relocalization(CONFIG)
+    relocalization.joined |= {2}
+    places = [Place(number=0, anchor=0, path_m=0.0, component=component) for component in (a, b)]
+    assert relocalization.is_apart(*places) == is_apart
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"same_place_m": 0.0}, "closure.relocalization.same_place_m must be positive, not 0.0"),
+        ({"same_place_rad": -1.0}, "closure.relocalization.same_place_rad must be positive, not -1.0"),
+        *[
+            ({name: 0}, f"closure.relocalization.{name} must be at least 1, not 0")
+            for name in ("min_agreeing", "min_agreeing_alone", "lead", "n_recent")
+        ],
+    ],
+)
+def test_impossible_settings_are_refused(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        RelocalizationConfig(**changes)  # type: ignore[arg-type]
