@@ -14,19 +14,19 @@ from matplotlib.patches import FancyBboxPatch
 
 STAGES = (
     ("1  predict", "last pose and the odometry; the covariance grows by R_r",
-     ("localization/scan_to_map.py", "odometry/noise.py")),
+     ("odometry/propagation.py", "odometry/noise.py")),
     ("2  detect", "an ellipse on free cells only: moving; clusters",
      ("detection/ellipse_test.py", "detection/clustering.py", "detection/visibility_check.py")),
     ("3  match", "static points onto lines, robust, from the prediction",
-     ("registration/point_to_line.py", "mapping/local_map.py")),
+     ("localization/map_matching.py", "registration/point_to_line.py")),
     ("4  graph", "a node for each keyframe, smoothed by GTSAM's ISAM2",
-     ("localization/scan_to_map.py", "graph/pose_graph.py")),
+     ("localization/graph_insertion.py", "graph/pose_graph.py")),
     ("5  map", "static points occupy, all beams free what they cross",
      ("mapping/occupancy_grid.py",)),
     ("6  objects", "clusters of moving points become tracks",
      ("tracking/tracker.py",)),
     ("7  close loops", "runs within 4, whenever a local map is finished",
-     ("loop_closure/detector.py", "loop_closure/submap.py", "loop_closure/relocalization.py")),
+     ("loop_closure/detector.py", "loop_closure/verification.py")),
 )  # fmt: skip
 """Name, what it does, files within the package."""
 
