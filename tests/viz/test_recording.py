@@ -380,10 +380,8 @@ def test_plots_end_above_most_of_their_values(nis: list[float], top: float, tmp_
 def test_events_name_their_scan_and_are_as_loud_as_they_are_serious(tmp_path: Path) -> None:
     told = {
         5: (make_event("closure refused", 5, target_node=1, source_node=9, reason="no pose agrees"),),
-        7: (
-            make_event("match failed", 7, reason="so it is"),
-            make_event("lost", 7, cause="kidnapped", n_scans=8),
-        ),
+        7: (make_event("match failed", 7, reason="so it is"),),
+        8: (make_event("lost", 8, cause="kidnapped", n_scans=8),),
     }
     log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
     for k, step in enumerate(Run(drive(10))):
@@ -393,7 +391,7 @@ def test_events_name_their_scan_and_are_as_loud_as_they_are_serious(tmp_path: Pa
     assert texts == {k: [f"scan {k}: {event.text}" for event in events] for k, events in told.items()}
     assert texts[7][0] == "scan 7: match failed: so it is"
     levels = entries(tmp_path / "run.rrd", "/log/events", "TextLog:level")
-    assert levels == {5: ["INFO"], 7: ["WARN", "ERROR"]}
+    assert levels == {5: ["INFO"], 7: ["WARN"], 8: ["ERROR"]}
 
 
 def test_a_recording_is_small(tmp_path: Path) -> None:
