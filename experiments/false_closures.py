@@ -14,6 +14,7 @@ from experiments.freiburg import (
     closure_errors,
     closures_of,
     command_line,
+    count_events,
     is_wrong,
     logs_with_relations,
     run_watched,
@@ -27,8 +28,7 @@ from slammot_graph.core.errors import InputError
 from slammot_graph.core.results import ClosureAttempt
 from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import RelationScores, evaluate_relations, read_relations
-from slammot_graph.loop_closure.detector import Closure, LoopCloser
-from slammot_graph.loop_closure.submap import Submap
+from slammot_graph.loop_closure import Closure, LoopCloser, Submap
 
 FIRST_SCANS = 6000
 QUICK_SCANS = 2500
@@ -88,9 +88,9 @@ class Liar:
     ms: list[float] = field(default_factory=list)
     finished: list[Submap] = field(default_factory=list)
 
-    def __call__(self, closer: LoopCloser, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
+    def __call__(self, closer: LoopCloser, submap: Submap) -> tuple[ClosureAttempt, ...]:
         """Put in what is due, as `LoopCloser.consider` does with a closure of its own."""
-        changed, attempts = False, list[ClosureAttempt]()
+        attempts = list[ClosureAttempt]()
         self.finished.append(submap)
         for lie in self.lies:
             if lie.source != submap.number:
@@ -121,8 +121,7 @@ class Liar:
             if accepted:
                 attempts += closer.reject_outliers()
             self.ms.append(1e3 * (time.process_time() - start))
-            changed |= accepted
-        return changed, tuple(attempts)
+        return tuple(attempts)
 
     def n_left(self, closer: LoopCloser) -> int:
         """How many of the lies are believed."""
@@ -255,7 +254,7 @@ def _row(
     turn_change = scores.rotation_deg.mean / base.rotation_deg.mean - 1.0
     closures = closures_of(run.result)
     n_wrong = int(is_wrong(*closure_errors(closures, truth.result.nodes)).sum())
-    n_back = sum("outlier" in text for _, text in run.result.events)
+    n_back = count_events(run.result, "closure rejected")
     told = [] if liar is None else liar.told
     n_false_back = 0 if liar is None else len(liar.ever_taken) - liar.n_left(_closer(run))
     return [

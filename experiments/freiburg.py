@@ -17,12 +17,12 @@ from experiments.tables import Table, provenance
 from slammot_graph import Run, open_log
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError, SlammotError
+from slammot_graph.core.events import EventKind
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, RunResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation import ErrorStats, RelationScores, evaluate_relations, read_relations
 from slammot_graph.logs import LaserLog
-from slammot_graph.loop_closure.detector import LoopCloser
-from slammot_graph.loop_closure.submap import Submap
+from slammot_graph.loop_closure import LoopCloser, Submap
 from slammot_graph.methods import METHODS, Config
 
 WRONG_M, WRONG_DEG = 0.5, 5.0
@@ -65,7 +65,7 @@ PUBLISHED: dict[str, tuple[tuple[str, str, str], ...]] = {
 CODE = code_state()
 """Of the code that was loaded, which may change on disk while an experiment runs."""
 
-AfterConsider = Callable[[LoopCloser, Submap], tuple[bool, tuple[ClosureAttempt, ...]]]
+AfterConsider = Callable[[LoopCloser, Submap], tuple[ClosureAttempt, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,16 +134,15 @@ def run_watched(
     consider = LoopCloser.consider
     submaps: list[Submap] = []
 
-    def watched(closer: LoopCloser, submap: Submap) -> tuple[bool, tuple[ClosureAttempt, ...]]:
+    def watched(closer: LoopCloser, submap: Submap) -> tuple[ClosureAttempt, ...]:
         nonlocal closing_cpu_s
         submaps.append(submap)
         start = time.process_time()
-        changed, attempts = consider(closer, submap)
+        attempts = consider(closer, submap)
         closing_cpu_s += time.process_time() - start
         if after_consider is not None:
-            has_more, more = after_consider(closer, submap)
-            changed, attempts = changed or has_more, attempts + more
-        return changed, attempts
+            attempts += after_consider(closer, submap)
+        return attempts
 
     run = Run(log, method, config=config)
     cpu_ms = []
@@ -196,9 +195,9 @@ def largest(values: FloatArray, n_decimals: int = 3) -> str:
     return f"{values.max():.{n_decimals}f}" if len(values) else "-"
 
 
-def count_events(result: RunResult, word: str) -> int:
-    """How many of a run's events have a word in them."""
-    return sum(word in text for _, text in result.events)
+def count_events(result: RunResult, *kinds: EventKind) -> int:
+    """How many of a run's events are of some kinds."""
+    return sum(event.kind in kinds for event in result.events)
 
 
 def data_folder(options: LoopOptions) -> Path:
@@ -343,11 +342,11 @@ def _closing_row(method: str, run: WatchedRun) -> list[str]:
     result = run.result
     closures = closures_of(result)
     distance_m, angle_deg = closure_errors(closures, result.nodes)
-    n_not = count_events(result, "refused") + count_events(result, "waits")
+    n_not = count_events(result, "closure refused", "closure waiting")
     return [
         method,
         str(len(closures)),
-        str(count_events(result, "outlier")),
+        str(count_events(result, "closure rejected")),
         str(n_not),
         largest(distance_m),
         largest(angle_deg, 2),
@@ -371,7 +370,7 @@ def _verdict(is_same: bool) -> str:
 def _account(result: RunResult, log: LaserLog, max_scans: int | None) -> str:
     """What became of the scans."""
     n_expected = log.n_scans if max_scans is None else min(max_scans, log.n_scans)
-    lost = count_events(result, "lost:")
+    lost = count_events(result, "lost")
     return f"{len(result.stamps)} poses of {n_expected} scans, {result.n_skipped} unusable, {lost} times lost"
 
 

@@ -107,7 +107,7 @@ def row(name: str, method: str, log: SimulatedLog, run: WatchedRun, n_scans: int
         largest(distance_m),
         largest(angle_deg, 2),
         f"{n_found} of {n_possible} ({100 * n_found / max(n_possible, 1):.0f}%)" if closes else "-",
-        str(count_events(result, "lost:")),
+        str(count_events(result, "lost")),
         f"{run.cpu_s:.1f}",
         f"{100 * run.closing_cpu_s / run.cpu_s:.1f}%" if closes else "-",
         f"{run.longest_cpu_ms:.0f}",

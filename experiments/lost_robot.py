@@ -222,7 +222,7 @@ def _jump_row(
         f"at scan {at}",
         f"{len(run.result.stamps)} of {n_scans - run.result.n_skipped}",
         f"{run.result.n_failed_matches} ({plain.result.n_failed_matches})",
-        f"{count_events(run.result, 'lost:')} ({count_events(plain.result, 'lost:')})",
+        f"{count_events(run.result, 'lost')} ({count_events(plain.result, 'lost')})",
         f"{error:.4f}",
         f"{score(plain)[0]:.4f}",
         f"{largest:.3f}",
@@ -269,7 +269,7 @@ def _carried_row(name: str, cover: str, carried: Carried) -> list[str]:
         if min(node_scans[[edge.from_node, edge.to_node]]) < carried.first_covered
         and max(node_scans[[edge.from_node, edge.to_node]]) >= carried.first_after
     ]
-    lost = [scan for scan, text in result.events if text.startswith("lost:")]
+    lost = [event.scan for event in result.events if event.kind == "lost"]
     n = carried.first_covered
     before = absolute_error(result.T_map_base[:n], log.T_world_base[:n])
     laid = se2.compose(before.T_world_map[None, :], result.T_map_base)
@@ -305,9 +305,9 @@ def _end_error(run: WatchedRun, truth: FloatArray) -> tuple[float, float]:
 
 def _tell(run: WatchedRun, at: int) -> None:
     """The events just after something happened."""
-    events = [(scan, text) for scan, text in run.result.events if at <= scan < at + 60]
-    for scan, text in events[:6]:
-        say(f"lost_robot:   scan {scan}: {text}")
+    events = [event for event in run.result.events if at <= event.scan < at + 60]
+    for event in events[:6]:
+        say(f"lost_robot:   scan {event.scan}: {event.text}")
 
 
 if __name__ == "__main__":

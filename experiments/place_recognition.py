@@ -22,8 +22,9 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.types import FloatArray
 from slammot_graph.logs import LaserLog
-from slammot_graph.loop_closure.detector import LoopCloser, LoopClosureConfig
-from slammot_graph.loop_closure.submap import PreparedSubmap, Submap
+from slammot_graph.loop_closure import LoopCloser, LoopClosureConfig, Submap
+from slammot_graph.loop_closure.submap import PreparedSubmap
+from slammot_graph.loop_closure.verification import SearchWindow, Verifier
 from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.simulation import simulate
 
@@ -101,8 +102,8 @@ class Answer:
     ms: float = 0.0
 
 
-class Probe(LoopCloser):
-    """A loop closer that is asked about one pair, with the search's pose kept, or given in its place."""
+class Probe(Verifier):
+    """A verifier that is asked about one pair, with the search's pose kept, or given in its place."""
 
     given: FloatArray | None = None
     found: FloatArray | None = None
@@ -112,8 +113,7 @@ class Probe(LoopCloser):
         prepared: PreparedSubmap,
         points: FloatArray,
         centre: FloatArray,
-        search_m: float,
-        search_rad: float,
+        window: SearchWindow,
         excluded: FloatArray | None,
         min_score: float,
         out: FloatArray,
@@ -123,7 +123,7 @@ class Probe(LoopCloser):
                 return 0
             out[:] = self.given
             return 1
-        score = super()._search(prepared, points, centre, search_m, search_rad, excluded, min_score, out)
+        score = super()._search(prepared, points, centre, window, excluded, min_score, out)
         if excluded is None:
             self.found = out.copy() if score else None
         elif score:
@@ -137,15 +137,16 @@ class Probe(LoopCloser):
 
         The target is ready beforehand, the source is new.
         """
-        self._prepare(target)
+        self.prepare(target)
         self._prepared.pop(source.number, None)
         new = replace(source)
         self.given, self.found = given, given
-        wide = np.diag([self.config.max_search_m, self.config.max_search_m, self.config.max_search_rad]) ** 2
+        most_m, most_rad = self.config.max_search_m, self.config.max_search_rad
+        window = SearchWindow(reach_m=most_m, distance_m=most_m, rotation_rad=most_rad)
         start = time.perf_counter()
-        closure, _ = self._verify(target, new, believed, wide)
+        closure = self.verify(target, new, believed, window)
         ms = 1e3 * (time.perf_counter() - start)
-        verified = None if closure is None else closure.T_target_source
+        verified = None if isinstance(closure, str) else closure.T_target_source
         return Answer(T_target_source=self.found, ms=ms), Answer(T_target_source=verified, ms=ms)
 
 
@@ -288,7 +289,7 @@ def cell(
     places = collect(log, path, n_scans)
     submaps = [replace(submap, component=0) for submap in places.closer.submaps]
     closer = places.closer
-    probe = Probe(closer.config, closer._field.config, closer.graph)
+    probe = Probe(closer.config, closer.verifier._field.config)
     rng = np.random.default_rng(0)
     pairs, there_are = draw_pairs(places, n_pairs, rng)
     strata = [stratum for stratum, _, _ in pairs]

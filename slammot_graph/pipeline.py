@@ -30,10 +30,11 @@ from slammot_graph.localization import (
     ScanToMapConfig,
     ScanToScan,
 )
-from slammot_graph.loop_closure.detector import LoopClosureConfig
+from slammot_graph.loop_closure import LoopClosureConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.propagation import WheelOdometry
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.registration.point_to_point import PointToPointConfig
 from slammot_graph.tracking.tracker import Tracker, TrackerConfig
@@ -175,7 +176,6 @@ class Pipeline:
         self.visibility_check = VisibilityCheck(config.visibility_check)
         self._has_backward_pass = config.hindsight and config.filter_moving
         self._history = ScanHistory()
-        self._n_times_lost = 0
         self._first_remembered = 0
         self._stopwatch = Stopwatch()
 
@@ -206,13 +206,13 @@ class Pipeline:
         p_moving = probability_of_moving(detection, points, scan.ranges, self.grid, hints.predicted_positions)
         is_static = is_valid & ~detection.is_moving
         watch.lap("detect")
-        node, is_keyframe, events = self.localizer.commit(scan, points_base, is_static)
-        if self.localizer.n_times_lost > self._n_times_lost:
+        committed = self.localizer.commit(scan, points_base, is_static)
+        if committed.is_lost:
             self._forget(scan)
         watch.lap("graph")
-        if node is not None:
+        if committed.node is not None:
             self._node_scans.append(len(self._history))
-        if is_keyframe:
+        if committed.is_keyframe:
             self._in_window.append(scan.index)
             self.grid.oldest = max(self._in_window[0], self._first_remembered)
         self._update_map(scan, points, is_valid, is_static, matched)
@@ -242,10 +242,10 @@ class Pipeline:
             match=match,
             innovation_nis=math.nan if match is None else match.nis,
             tracks=tracks,
-            node=node,
-            events=tuple(events),
+            node=committed.node,
+            events=committed.events,
             stage_ms=watch.read(),
-            closures=self.localizer.closures,
+            closures=committed.closures,
         )
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
@@ -392,7 +392,6 @@ class Pipeline:
 
     def _forget(self, scan: Scan) -> None:
         """The robot is lost: what the test remembers lies elsewhere."""
-        self._n_times_lost = self.localizer.n_times_lost
         self._first_remembered = scan.index
         self.visibility_check = VisibilityCheck(self.config.visibility_check)
 
@@ -443,12 +442,13 @@ class Pipeline:
 
 
 def _make_localizer(config: PipelineConfig) -> Localizer:
+    wheels = WheelOdometry(config.odometry_noise)
     if config.matcher == "none":
-        return DeadReckoning(config.odometry_noise)
+        return DeadReckoning(wheels)
     if config.matcher == "scan-to-scan":
-        return ScanToScan(config.odometry_noise, config.point_to_point)
+        return ScanToScan(wheels, config.point_to_point)
     return ScanToMap(
-        config.odometry_noise,
+        wheels,
         ScanToMapConfig(
             n_lost=config.n_lost,
             close_loops=config.close_loops,

@@ -11,6 +11,7 @@ from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.events import Event
 from slammot_graph.core.results import RunResult, StepResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
@@ -181,7 +182,7 @@ class _Kept:
         self.cov_anchor_base: list[FloatArray] = []
         self.T_world_base: list[FloatArray] = []
         self.n_failed = 0
-        self.events: list[tuple[int, str]] = []
+        self.events: list[Event] = []
 
     def keep(self, step: StepResult) -> None:
         if step.is_moving.any():
@@ -200,7 +201,7 @@ class _Kept:
         if step.scan.truth is not None and step.scan.truth.T_world_base is not None:
             self.T_world_base.append(step.scan.truth.T_world_base)
         self.n_failed += step.match is not None and step.match.status == "failed"
-        self.events += [(step.scan.index, text) for text in step.events]
+        self.events += step.events
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]

@@ -136,14 +136,14 @@ def drive(
     return ListLog(scans)
 
 
-def covered(log: ListLog, *indices: int) -> ListLog:
-    """The log itself, with the laser covered in some scans."""
+def occluded(log: ListLog, *indices: int) -> ListLog:
+    """The log itself, with the laser occluded in some scans."""
     for k in indices:
         log.scans[k].ranges[:] = np.inf
     return log
 
 
-def carried(log: ListLog, start: int) -> ListLog:
+def kidnapped(log: ListLog, start: int) -> ListLog:
     """The log itself; from scan `start` on the robot is in the hall, where nothing is like the room."""
     for scan in log.scans[start:]:
         assert scan.truth is not None

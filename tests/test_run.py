@@ -15,7 +15,7 @@ from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.run import Run, make_pipeline
-from tests.rooms import LASER, ListLog, carried, covered, drive, errors, truth_from_start
+from tests.rooms import LASER, ListLog, drive, errors, kidnapped, occluded, truth_from_start
 
 
 def test_steps_come_one_by_one_and_the_result_at_the_end() -> None:
@@ -147,7 +147,7 @@ def test_a_match_that_determines_nothing_is_a_failure_not_an_error(rng: np.rando
         scan.ranges[bad] += rng.uniform(0.1, 0.35, bad.sum())
     config = PipelineConfig(filter_moving=False, n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
     result = Run(log, config=config).complete()
-    assert any(text == "match failed: no direction is determined" for _, text in result.events)
+    assert any(event.text == "match failed: no direction is determined" for event in result.events)
     assert len(result.nodes) >= 2
     assert np.isfinite(result.T_map_base).all()
     assert errors(truth_from_start(log), result.T_map_base)[0] < 0.2
@@ -187,11 +187,12 @@ def test_scans_of_different_lasers_are_padded_with_beams_that_are_not_valid() ->
 
 
 def test_failures_and_events_are_counted() -> None:
-    log = covered(carried(drive(20), 9), 9)
+    log = occluded(kidnapped(drive(20), 9), 9)
     result = Run(log, config=PipelineConfig(n_lost=2)).complete()
-    assert result.events[0] == (9, "match failed: only 0 points found a partner")
-    assert [scan for scan, _ in result.events] == [9, 10, 11, 11]
-    assert result.events[3][1] == "lost: 2 matches failed in a row, a new local map begins here"
+    assert result.events[0].text == "match failed: only 0 points found a partner"
+    assert [event.scan for event in result.events] == [9, 10, 11, 11]
+    assert [event.severity for event in result.events] == ["warning", "warning", "warning", "error"]
+    assert result.events[3].text == "lost: 2 matches failed in a row, a new local map begins here"
     assert result.n_failed_matches == 3
     assert np.isnan(result.nis[9:12]).all()
     assert np.isfinite(result.nis[12:]).all()

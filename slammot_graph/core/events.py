@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Literal
 
 EventKind = Literal[
@@ -15,9 +14,35 @@ EventKind = Literal[
 ]
 Severity = Literal["info", "warning", "error"]
 
-_TEXTS: dict[EventKind, Callable[[Mapping[str, Any]], str]] = {
+SEVERITIES: Mapping[EventKind, Severity] = {
+    "match failed": "warning",
+    "lost": "error",
+    "closure accepted": "info",
+    # routine: each finished local map is compared with several others nearby, most of which show another place
+    "closure waiting": "info",
+    "closure refused": "info",
+    # the graph was wrong until now
+    "closure rejected": "warning",
+}
+"""How serious an event of each kind is."""
+
+
+def _pair(data: Mapping[str, Any]) -> str:
+    return f"closure {data['target_node']}-{data['source_node']}"
+
+
+def _lost(data: Mapping[str, Any]) -> str:
+    why = (
+        f"{data['n_scans']} scans with nothing in sight, the robot may have been kidnapped"
+        if data["cause"] == "kidnapped"
+        else f"{data['n_scans']} matches failed in a row"
+    )
+    return f"lost: {why}, a new local map begins here"
+
+
+_TEXTS: Mapping[EventKind, Callable[[Mapping[str, Any]], str]] = {
     "match failed": lambda data: f"match failed: {data['reason']}",
-    "lost": lambda data: f"lost: {data['reason']}, a new local map begins here",
+    "lost": _lost,
     "closure accepted": lambda data: (
         f"{_pair(data)} accepted" + (f", {data['reason']}" if data["reason"] else "")
     ),
@@ -38,19 +63,26 @@ class Event:
     scan : int
         Index of the scan at which it happened.
     data : mapping
-        What the text is made of: plain strings and numbers.
+        What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped" or
+        "failed matches") and `n_scans` of a lost robot; `target_node`, `source_node` and `reason` of a closure.
     """
 
     kind: EventKind
     severity: Severity
     scan: int
-    data: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    data: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
         """One line for a person."""
-        return _TEXTS[self.kind](self.data)
+        return describe(self.kind, self.data)
 
 
-def _pair(data: Mapping[str, Any]) -> str:
-    return f"closure {data['target_node']}-{data['source_node']}"
+def make_event(kind: EventKind, scan: int, **data: str | int | float) -> Event:
+    """Make an event with the severity of its kind."""
+    return Event(kind=kind, severity=SEVERITIES[kind], scan=scan, data=data)
+
+
+def describe(kind: EventKind, data: Mapping[str, Any]) -> str:
+    """Put what happened into one line for a person."""
+    return _TEXTS[kind](data)

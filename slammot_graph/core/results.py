@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import Event, EventKind, describe, make_event
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
@@ -41,7 +42,7 @@ class MatchResult:
         Robust root mean square of the residuals [m].
     nis : float
         Normalised square of the innovation against the prediction and this match (3 degrees of freedom if both are
-        honest); NaN where the match failed or was made without a prediction.
+        consistent); NaN where the match failed or was made without a prediction.
     reason : str
         Why it failed or is degenerate; empty when converged.
     is_refused : bool
@@ -100,6 +101,14 @@ class GraphEdge:
     information: FloatArray
 
 
+_CLOSURE_EVENTS: Mapping[ClosureStatus, EventKind] = {
+    "accepted": "closure accepted",
+    "waiting": "closure waiting",
+    "refused": "closure refused",
+    "outlier": "closure rejected",
+}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosureAttempt:
     """Two places that might have been one, and what became of it.
@@ -121,16 +130,18 @@ class ClosureAttempt:
     reason: str
     T_target_source: FloatArray
 
+    def event(self, scan: int) -> Event:
+        """Give what a person should know of it, at the scan of this index."""
+        return make_event(_CLOSURE_EVENTS[self.status], scan, **self._data)
+
     @property
     def text(self) -> str:
-        """One line for a person."""
-        name = f"closure {self.target_node}-{self.source_node}"
-        if self.status == "accepted":
-            return f"{name} accepted" + (f", {self.reason}" if self.reason else "")
-        if self.status == "waiting":
-            return f"{name} waits for another to confirm it, {self.reason}"
-        status = "rejected as an outlier" if self.status == "outlier" else self.status
-        return f"{name} {status}: {self.reason}"
+        """One line for a person, that of its event."""
+        return describe(_CLOSURE_EVENTS[self.status], self._data)
+
+    @property
+    def _data(self) -> dict[str, str | int]:
+        return {"target_node": self.target_node, "source_node": self.source_node, "reason": self.reason}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,7 +161,7 @@ class StepResult:
         The covariance that the moving-point test used: of the predicted base relative to the local map's anchor
         (or what the method puts in its place), body frame.
     anchor_scan : int
-        Index of the scan that the local map hangs on when this one was matched; -1 where there is none.
+        Index of the scan of the local map's anchor when this one was matched; -1 where there is none.
     T_anchor_base : (3,) array
         The matched pose relative to that scan's.
     cov_anchor_base : (3, 3) array
@@ -170,8 +181,8 @@ class StepResult:
     tracks : tuple of TrackState
     node : int or None
         Index of the graph node added at this scan.
-    events : tuple of str
-        What a person should know: "match failed: ...", "closure 12-340 accepted: ...".
+    events : tuple of Event
+        What a person should know.
     closures : tuple of ClosureAttempt
         Loop closures tried at this scan.
     stage_ms : mapping
@@ -196,7 +207,7 @@ class StepResult:
     innovation_nis: float
     tracks: tuple[TrackState, ...]
     node: int | None
-    events: tuple[str, ...]
+    events: tuple[Event, ...]
     stage_ms: Mapping[str, float]
     closures: tuple[ClosureAttempt, ...] = ()
 
@@ -258,7 +269,7 @@ class RunResult:
     nis : (n,) array
         Normalised innovation squared per scan, NaN where there was no match.
     anchor_scans : (n,) int array
-        The scan that each scan's local map hung on; -1 where there was none.
+        The scan of the anchor of each scan's local map; -1 where there was none.
     T_anchor_base : (n, 3) array
         Each scan's pose relative to that scan's, as matched at the time.
     cov_anchor_base : (n, 3, 3) array
@@ -267,7 +278,8 @@ class RunResult:
         True poses, where the log knows them.
     n_failed_matches : int
     n_skipped : int
-    events : tuple of (scan index, text)
+    events : tuple of Event
+        In the order of the scans.
     is_complete : bool
         False when the run was interrupted.
     """
@@ -296,5 +308,5 @@ class RunResult:
     T_world_base: FloatArray | None
     n_failed_matches: int
     n_skipped: int
-    events: tuple[tuple[int, str], ...] = field(default=())
+    events: tuple[Event, ...] = ()
     is_complete: bool = True

@@ -29,8 +29,8 @@ class _Factor(NamedTuple):
 class LocalFactors:
     """Odometry from keyframe to keyframe, and each keyframe's match on the local map.
 
-    In the whole graph a match hangs on the anchor. But it was made on the points of all keyframes of the local map,
-    and these go over into the next one: here the local map is a node of its own that all matches hang on. The
+    In the whole graph a match is attached to the anchor. But it was made on the points of all keyframes of the local
+    map, and these go over into the next one: here the local map is a node of its own that all matches refer to. The
     errors relative to an anchor thus do not grow from one local map to the next as long as matches hold it in place,
     and where they do not, as along a corridor, they grow with the odometry.
     """
@@ -51,7 +51,7 @@ class LocalFactors:
         T_local_base: FloatArray,
         match_information: FloatArray,
     ) -> None:
-        """Add a keyframe: its way from the last one, its pose in the local map and what its match tells of that.
+        """Add a keyframe: its motion from the last one, its pose in the local map and what its match tells of that.
 
         The match's information (3, 3) is zero where there was none.
         """

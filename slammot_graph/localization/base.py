@@ -87,19 +87,11 @@ class Localizer(Protocol):
     """Predict, match and commit, in this order, once a scan."""
 
     @property
-    def n_times_lost(self) -> int:
-        """How often the local frame has lost its place."""
-
-    @property
-    def closures(self) -> tuple[ClosureAttempt, ...]:
-        """Loop closures tried by the last `commit`."""
-
-    @property
     def T_map_local(self) -> FloatArray:
         """(3,) where the local frame lies in the map now."""
 
     def predict(self, scan: Scan) -> Estimate:
-        """Carry the last estimate along the odometry to the new scan."""
+        """Carry the last estimate along the motion to the new scan."""
 
     def match(
         self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
@@ -110,14 +102,8 @@ class Localizer(Protocol):
         narrower by `kernel_factor`.
         """
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, bool, list[str]]:
-        """Keep the scan: in the graph and the local map where it brings something new.
-
-        Returns the number of the node that was added, if any, whether it became a keyframe, and what a person should
-        know.
-        """
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
+        """Keep the scan: in the graph and the local map where it brings something new."""
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""
@@ -134,7 +120,7 @@ def fuse(cov_prior: FloatArray, match: MatchResult) -> FloatArray:
     return fused(cov_prior, match.graph_information)
 
 
-def refuse(match: MatchResult, T_predicted: FloatArray, reason: str) -> MatchResult:
+def refuse(match: MatchResult, reason: str) -> MatchResult:
     """Call a match failed after all: it tells nothing."""
     nothing = np.zeros((3, 3))
     return replace(

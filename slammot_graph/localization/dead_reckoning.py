@@ -1,39 +1,36 @@
-"""The trajectory that the wheels tell."""
+"""The trajectory that the motion model alone tells."""
 
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.results import GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.localization.base import FIRST_COV, Estimate, FinalEstimate
-from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.localization.base import FIRST_COV, CommitResult, Estimate, FinalEstimate
+from slammot_graph.odometry.propagation import MotionModel
 
 
 class DeadReckoning:
     """Odometry alone; the local frame is the map, and starts at the first scan."""
 
     T_map_local = se2.IDENTITY
-    n_times_lost = 0
-    closures: tuple[ClosureAttempt, ...] = ()
 
-    def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
-        self.noise = noise
-        self._T_odom_base: FloatArray | None = None
+    def __init__(self, model: MotionModel) -> None:
+        self.model = model
         self.estimate = Estimate(T_local_base=se2.IDENTITY, cov_relative=FIRST_COV, cov_absolute=FIRST_COV)
         self._history: list[Estimate] = []
 
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
-        if self._T_odom_base is not None:
-            increment = se2.between(self._T_odom_base, scan.T_odom_base)
-            cov = self.noise.covariance(increment)
+        motion = self.model.advance(scan)
+        if motion is not None:
             self.estimate = Estimate(
-                T_local_base=se2.compose(self.estimate.T_local_base, increment),
-                cov_relative=cov,
-                cov_absolute=se2.compound_covariance(self.estimate.cov_absolute, increment, cov),
+                T_local_base=se2.compose(self.estimate.T_local_base, motion.increment),
+                cov_relative=motion.cov,
+                cov_absolute=se2.compound_covariance(
+                    self.estimate.cov_absolute, motion.increment, motion.cov
+                ),
             )
-        self._T_odom_base = scan.T_odom_base
         return self.estimate
 
     def match(
@@ -42,12 +39,11 @@ class DeadReckoning:
         """See `Localizer`; there is none."""
         return self.estimate, None
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, bool, list[str]]:
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
+        self.model.correct(self.estimate.T_local_base)
         self._history.append(self.estimate)
-        return None, False, []
+        return CommitResult()
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`; there is no graph."""

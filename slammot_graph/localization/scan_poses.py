@@ -1,4 +1,4 @@
-"""Where each scan of a run hangs in the pose graph."""
+"""Which node of the pose graph each scan of a run is attached to."""
 
 from array import array
 
@@ -9,7 +9,7 @@ from slammot_graph.core.types import FloatArray
 
 
 class ScanPoses:
-    """Each scan hangs on a node, and has its covariance on the anchor of its local map; 136 bytes a scan."""
+    """Each scan is attached to a node, and has its covariance relative to an anchor; 136 bytes a scan."""
 
     _N = 15
 

@@ -4,17 +4,17 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.localization.base import Estimate
+from slammot_graph.localization.base import CommitResult, Estimate
 from slammot_graph.localization.dead_reckoning import DeadReckoning
-from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.propagation import MotionModel
 from slammot_graph.registration.point_to_point import PointToPointConfig, match_scans
 
 
 class ScanToScan(DeadReckoning):
-    """Dead reckoning whose increments come from point-to-point ICP, started at the odometry's."""
+    """Dead reckoning whose increments come from point-to-point ICP, started at those of the motion model."""
 
-    def __init__(self, noise: OdometryNoise | ConstantNoise, config: PointToPointConfig) -> None:
-        super().__init__(noise)
+    def __init__(self, model: MotionModel, config: PointToPointConfig) -> None:
+        super().__init__(model)
         self.config = config
         self._before: Estimate = self.estimate
         self._reference: tuple[FloatArray, BoolArray] | None = None
@@ -40,9 +40,7 @@ class ScanToScan(DeadReckoning):
             )
         return self.estimate, match
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, bool, list[str]]:
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
         self._reference = points_base, is_static
         return super().commit(scan, points_base, is_static)

@@ -1,6 +1,20 @@
-"""Loop closure on local maps."""
+"""Loop closure on local maps: candidates, verification, a joint decision, and where a lost robot is.
 
-from slammot_graph.loop_closure.detector import Closure, LoopCloser, LoopClosureConfig
-from slammot_graph.loop_closure.submap import Submap
+Imports `core`, `mapping`, `registration` and `graph`.
+"""
 
-__all__ = ["Closure", "LoopCloser", "LoopClosureConfig", "Submap"]
+from slammot_graph.loop_closure.closure import Closure
+from slammot_graph.loop_closure.config import ConsistencyConfig, LoopClosureConfig
+from slammot_graph.loop_closure.detector import LoopCloser
+from slammot_graph.loop_closure.relocalization import RelocalizationConfig
+from slammot_graph.loop_closure.submap import Submap, SubmapConfig
+
+__all__ = [
+    "Closure",
+    "ConsistencyConfig",
+    "LoopCloser",
+    "LoopClosureConfig",
+    "RelocalizationConfig",
+    "Submap",
+    "SubmapConfig",
+]

@@ -1,7 +1,7 @@
 """Where a lost robot's new local maps lie in the old map: hypotheses are collected until one stands out.
 
-With nothing known of the way between, one match proves little: rooms and corridors repeat. Each verified closure
-proposes a transform that carries the new component onto the old map; those of several local maps must agree, and
+With nothing known of the motion between, one match proves little: rooms and corridors repeat. Each verified closure
+proposes a transform that moves the new component onto the old map; those of several local maps must agree, and
 clearly outnumber those for any other place.
 """
 
@@ -10,19 +10,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.loop_closure.closure import Closure
+from slammot_graph.loop_closure.submap import Place, Submap
 
-SAME_PLACE_M, SAME_PLACE_RAD = 0.6, 0.1
-"""Two hypotheses within these bounds are for the same place."""
 
-MIN_AGREEING, MIN_AGREEING_ALONE = 5, 4
-"""Local maps of the new component that must agree; and where no hypothesis is for any other place."""
+@dataclass(frozen=True, kw_only=True)
+class RelocalizationConfig:
+    """What it takes to believe where a lost robot is.
 
-LEAD = 3.0
-"""The winner has this many times the hypotheses of the next."""
+    Attributes
+    ----------
+    same_place_m, same_place_rad : float
+        Two hypotheses within these bounds are for the same place.
+    min_agreeing, min_agreeing_alone : int
+        Local maps of the new component that must agree; and where no hypothesis is for any other place.
+    lead : float
+        The winner has this many times the hypotheses of the next.
+    n_recent : int
+        Hypotheses of so many latest local maps count: a place that only looked alike gets no more after a while.
+    """
 
-N_RECENT = 12
-"""Votes of the latest local maps count: a place that only looked alike gets no more hypotheses after a while."""
+    same_place_m: float = 0.6
+    same_place_rad: float = 0.1
+    min_agreeing: int = 5
+    min_agreeing_alone: int = 4
+    lead: float = 3.0
+    n_recent: int = 12
+
+    def __post_init__(self) -> None:
+        for name in ("same_place_m", "same_place_rad"):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(
+                    f"closure.relocalization.{name} must be positive, not {getattr(self, name)}"
+                )
+        for name in ("min_agreeing", "min_agreeing_alone", "lead", "n_recent"):
+            if not getattr(self, name) >= 1:
+                raise ConfigError(
+                    f"closure.relocalization.{name} must be at least 1, not {getattr(self, name)}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +61,7 @@ class PlaceHypothesis:
     source : int
         Number of the local map.
     T_map_new : (3,) array
-        Carries the new component, as it lies now, onto the old map.
+        Moves the new component, as it lies now, onto the old map.
     place : (3,) array
         Where the local map's anchor comes to lie.
     """
@@ -44,26 +71,85 @@ class PlaceHypothesis:
     place: FloatArray
 
 
-def find_consensus(hypotheses: list[PlaceHypothesis]) -> list[int]:
+class Relocalization:
+    """Collects the hypotheses on where the latest component of the graph lies, until it is joined with the others.
+
+    Attributes
+    ----------
+    joined : set of int
+        Components whose place in the map is known.
+    closures : list of Closure
+        Between these and the latest component; each is a hypothesis.
+    """
+
+    def __init__(self, config: RelocalizationConfig) -> None:
+        self.config = config
+        self.joined = {0}
+        self.closures: list[Closure] = []
+        self._component = 0
+
+    def is_apart(self, a: Submap | Place, b: Submap | Place) -> bool:
+        """Tell whether nothing is known of the motion between two local maps."""
+        if a.component == b.component:
+            return False
+        return not (a.component in self.joined and b.component in self.joined)
+
+    def collect(self, closure: Closure, nodes: FloatArray) -> tuple[list[Closure], FloatArray] | None:
+        """Add a closure; None until enough of them agree.
+
+        Parameters
+        ----------
+        closure : Closure
+        nodes : (n, 3) array
+            Optimised poses of the graph.
+
+        Returns
+        -------
+        The closures that agree, and the transform (3,) of the latest of them that moves the component onto the old map.
+        """
+        if closure.source.component != self._component:
+            self._component, self.closures = closure.source.component, []
+        self.closures.append(closure)
+        hypotheses = [_hypothesis(collected, nodes) for collected in self.closures]
+        agreed = find_consensus(hypotheses, self.config)
+        if not agreed:
+            return None
+        return [self.closures[k] for k in agreed], hypotheses[agreed[-1]].T_map_new
+
+    def join(self) -> None:
+        """Take the component's place for known."""
+        self.joined.add(self._component)
+        self.closures = []
+
+
+def _hypothesis(closure: Closure, nodes: FloatArray) -> PlaceHypothesis:
+    place = se2.compose(nodes[closure.target.anchor], closure.T_target_source)
+    T_map_new = se2.compose(place, se2.inverse(nodes[closure.source.anchor]))
+    return PlaceHypothesis(source=closure.source.number, T_map_new=T_map_new, place=place)
+
+
+def find_consensus(hypotheses: list[PlaceHypothesis], config: RelocalizationConfig) -> list[int]:
     """Give the indices of the hypotheses of the winning place; none while no place stands out."""
     if not hypotheses:
         return []
     sources = np.array([hypothesis.source for hypothesis in hypotheses])
-    is_recent = sources > sources.max() - N_RECENT
+    is_recent = sources > sources.max() - config.n_recent
     T = np.array([hypothesis.T_map_new for hypothesis in hypotheses])
-    groups = [_is_same(hypothesis, T) & is_recent for hypothesis in hypotheses]
-    n_votes = np.array([len(set(sources[group])) for group in groups])
-    best = int(np.argmax(np.where(is_recent, n_votes, 0)))
-    most_elsewhere = int(n_votes[is_recent & ~groups[best]].max(initial=0))
-    needed = max(MIN_AGREEING, LEAD * most_elsewhere) if most_elsewhere else MIN_AGREEING_ALONE
-    if n_votes[best] < needed:
+    groups = [_is_same(hypothesis, T, config) & is_recent for hypothesis in hypotheses]
+    n_agreeing = np.array([len(set(sources[group])) for group in groups])
+    best = int(np.argmax(np.where(is_recent, n_agreeing, 0)))
+    most_elsewhere = int(n_agreeing[is_recent & ~groups[best]].max(initial=0))
+    needed: float = config.min_agreeing_alone
+    if most_elsewhere:
+        needed = max(config.min_agreeing, config.lead * most_elsewhere)
+    if n_agreeing[best] < needed:
         return []
     return [int(k) for k in np.flatnonzero(groups[best])]
 
 
-def _is_same(hypothesis: PlaceHypothesis, T_map_new: FloatArray) -> BoolArray:
-    """Tell which transforms (k, 3) put the hypothesis's local map at the place that it hypotheses for."""
+def _is_same(hypothesis: PlaceHypothesis, T_map_new: FloatArray, config: RelocalizationConfig) -> BoolArray:
+    """Tell which transforms (k, 3) put the hypothesis's local map at the place that it is for."""
     anchor = se2.compose(se2.inverse(hypothesis.T_map_new), hypothesis.place)
     offset = se2.between(hypothesis.place[None, :], se2.compose(T_map_new, anchor[None, :]))
-    is_near = np.hypot(offset[:, 0], offset[:, 1]) < SAME_PLACE_M
-    return np.asarray(is_near & (np.abs(offset[:, 2]) < SAME_PLACE_RAD))
+    is_near = np.hypot(offset[:, 0], offset[:, 1]) < config.same_place_m
+    return np.asarray(is_near & (np.abs(offset[:, 2]) < config.same_place_rad))

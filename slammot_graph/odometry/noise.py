@@ -20,7 +20,7 @@ class OdometryNoise:
     still_std_m, still_std_rad : float
         Of each increment, also without motion.
     std_m_per_sqrt_m, std_rad_per_sqrt_m, std_m_per_sqrt_rad, std_rad_per_sqrt_rad : float
-        Random part; the variance grows in proportion to the way.
+        Random part; the variance grows in proportion to the distance.
     ratio_m_per_m, ratio_rad_per_rad : float
         Systematic part (wheel scale): the standard deviation is this share of the increment.
     """

@@ -33,9 +33,9 @@ STILL_SHARE = 0.1
 """Windows in which the robot stood make up at most this share: there the matches err alike and all agree too well."""
 
 MOVES_M, MOVES_RAD = 0.01, 0.01
-"""A window with less way and less turn is one in which the robot stood."""
+"""A window with less distance and less turn is one in which the robot stood."""
 
-MIN_WAY_M, MIN_TURN_RAD = 3.0, 3.0
+MIN_DISTANCE_M, MIN_TURN_RAD = 3.0, 3.0
 """A log with less of one motion cannot tell how the errors grow with it."""
 
 LEAST_STILL = 5e-4
@@ -65,7 +65,7 @@ class Windows:
     cov_match : (n, 3, 3) array
         Of the matches' motion; both in the same frame as the residuals.
     distance_m, turn_rad : (n,) arrays
-        How much the robot drove and turned on the way, however often it turned back.
+        How much the robot drove and turned meanwhile, however often it turned back.
     n_scans : (n,) int array
         Number of increments.
     """
@@ -111,10 +111,10 @@ class Calibration:
     distance_m, turn_rad : float
         Sums over the windows of one scan.
     match_scale : float
-        The matches' errors were this many times what the matches say; 1 if they are honest.
+        The matches' errors were this many times what the matches say; 1 if they are consistent.
     spread_before, spread : float
-        Median normalised squared residual over that of an honest covariance, for the default noise and for the
-        estimated; 1 if honest, below if the covariance is pessimistic. NaN over nothing.
+        Median normalised squared residual over that of a consistent covariance, for the default noise and for the
+        estimated; 1 if consistent, below if the covariance is pessimistic. NaN over nothing.
     """
 
     noise: OdometryNoise
@@ -169,7 +169,7 @@ def calibrate(windows: Windows, default: OdometryNoise | None = None) -> Calibra
 
     The random and the still parts of the increments add up, each carried into the window's last frame, as the pipeline
     compounds them. The ratio parts are systematic: one error of scale for the whole window, so their standard
-    deviation grows with the way driven and the turn (a turn back takes it back), as
+    deviation grows with the distance driven and the turn (a turn back undoes it), as
     `OdometryNoise.covariance` has it for one increment as long as the window. The pipeline compounds increments as
     independent, so there the ratio parts count for less the shorter the increments are.
 
@@ -196,7 +196,8 @@ def calibrate(windows: Windows, default: OdometryNoise | None = None) -> Calibra
     kept = tuple(
         name
         for name in PARAMETERS
-        if (_is_of_way(name) and distance_m < MIN_WAY_M) or (_is_of_turn(name) and turn_rad < MIN_TURN_RAD)
+        if (_is_of_distance(name) and distance_m < MIN_DISTANCE_M)
+        or (_is_of_turn(name) and turn_rad < MIN_TURN_RAD)
     )
     sample = windows.take(_sampled(windows))
     noise, match_scale = _fit(sample, default, kept)
@@ -238,18 +239,20 @@ def _windows_of(
     poses = T_odom_base[scans]
     increments = se2.between(poses[:, :-1], poses[:, 1:])
     carry = se2.adjoint(se2.inverse(se2.between(poses[:, 1:], poses[:, -1:])))
-    way, turn = np.hypot(increments[..., 0], increments[..., 1]), np.abs(increments[..., 2])
+    distance_m, turn_rad = np.hypot(increments[..., 0], increments[..., 1]), np.abs(increments[..., 2])
     return Windows(
         residuals=se2.log(se2.between(T_odom, T_match)),
-        parts=_parts(increments, carry, way, turn),
+        parts=_parts(increments, carry, distance_m, turn_rad),
         cov_match=cov_match,
-        distance_m=way.sum(axis=1),
-        turn_rad=turn.sum(axis=1),
+        distance_m=distance_m.sum(axis=1),
+        turn_rad=turn_rad.sum(axis=1),
         n_scans=np.full(len(first), length),
     )
 
 
-def _parts(increments: FloatArray, carry: FloatArray, way: FloatArray, turn: FloatArray) -> FloatArray:
+def _parts(
+    increments: FloatArray, carry: FloatArray, distance_m: FloatArray, turn_rad: FloatArray
+) -> FloatArray:
     """(n, 8, 3, 3) unit covariances of windows of k increments (n, k, 3) with adjoints `carry` (n, k, 3, 3)."""
     of_m = carry[..., :2] @ np.swapaxes(carry[..., :2], -1, -2)
     of_rad = carry[..., 2:] @ np.swapaxes(carry[..., 2:], -1, -2)
@@ -257,7 +260,7 @@ def _parts(increments: FloatArray, carry: FloatArray, way: FloatArray, turn: Flo
     def added(unit: FloatArray, weights: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("nk,nkij->nij", weights, unit), dtype=np.float64)
 
-    nothing, ones = np.zeros_like(way), np.ones_like(way)
+    nothing, ones = np.zeros_like(distance_m), np.ones_like(distance_m)
     along = np.stack([increments[..., 0], increments[..., 1], nothing], axis=-1)
     aside = np.stack([-increments[..., 1], increments[..., 0], nothing], axis=-1)
     turned = np.stack([nothing, nothing, increments[..., 2]], axis=-1)
@@ -266,17 +269,17 @@ def _parts(increments: FloatArray, carry: FloatArray, way: FloatArray, turn: Flo
     parts = {
         "still_std_m": added(of_m, ones),
         "still_std_rad": added(of_rad, ones),
-        "std_m_per_sqrt_m": added(of_m, way),
-        "std_rad_per_sqrt_m": added(of_rad, way),
-        "std_m_per_sqrt_rad": added(of_m, turn),
-        "std_rad_per_sqrt_rad": added(of_rad, turn),
+        "std_m_per_sqrt_m": added(of_m, distance_m),
+        "std_rad_per_sqrt_m": added(of_rad, distance_m),
+        "std_m_per_sqrt_rad": added(of_m, turn_rad),
+        "std_rad_per_sqrt_rad": added(of_rad, turn_rad),
         "ratio_m_per_m": squares[0] + squares[1],
         "ratio_rad_per_rad": squares[2],
     }
     return np.stack([parts[name] for name in PARAMETERS], axis=1)
 
 
-def _is_of_way(name: str) -> bool:
+def _is_of_distance(name: str) -> bool:
     return name in ("std_m_per_sqrt_m", "std_rad_per_sqrt_m", "ratio_m_per_m")
 
 
@@ -285,7 +288,7 @@ def _is_of_turn(name: str) -> bool:
 
 
 def _count(windows: Windows, name: str) -> int:
-    if _is_of_way(name):
+    if _is_of_distance(name):
         return int(np.count_nonzero(windows.distance_m > MOVES_M))
     if _is_of_turn(name):
         return int(np.count_nonzero(windows.turn_rad > MOVES_RAD))

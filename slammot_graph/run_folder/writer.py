@@ -301,7 +301,7 @@ def _summary(result: RunResult, log: LaserLog | str | Path | None) -> dict[str, 
         "scans_per_s": 1e3 * len(step_ms) / float(step_ms.sum()) if step_ms.sum() > 0.0 else None,
         "peak_memory_mb": _peak_memory_mb(),
         "n_events": len(result.events),
-        "events": [{"scan": scan, "text": text} for scan, text in result.events[:MAX_EVENTS]],
+        "events": [{**asdict(event), "text": event.text} for event in result.events[:MAX_EVENTS]],
     }
 
 

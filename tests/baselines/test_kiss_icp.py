@@ -8,7 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.results import StepResult
 from slammot_graph.odometry.noise import OdometryNoise
-from tests.rooms import LASER, ListLog, covered, drive, errors, truth_from_start
+from tests.rooms import LASER, ListLog, drive, errors, occluded, truth_from_start
 
 
 def run(log: ListLog, config: KissIcpConfig) -> tuple[KissIcpPipeline, list[StepResult]]:
@@ -71,7 +71,7 @@ def test_beams_that_are_no_measurements_are_borne(rng: np.random.Generator) -> N
 
 
 @pytest.mark.parametrize("k", [0, 10])
-def test_a_covered_laser_is_bridged_by_odometry(k: int) -> None:
+def test_an_occluded_laser_is_bridged_by_odometry(k: int) -> None:
     log = drive(15, with_person=False)
     log.scans[k].ranges[:] = np.nan
     pipeline, steps = run(log, KissIcpConfig(use_odometry=True))
@@ -79,8 +79,8 @@ def test_a_covered_laser_is_bridged_by_odometry(k: int) -> None:
     assert errors(truth_from_start(log), pipeline.final().T_map_base)[0] < 0.12
 
 
-def test_a_laser_covered_for_long_keeps_the_odometry_of_that_time() -> None:
-    log = covered(drive(30, with_person=False), *range(10, 18))  # 0.64 m
+def test_a_laser_occluded_for_long_keeps_the_odometry_of_that_time() -> None:
+    log = occluded(drive(30, with_person=False), *range(10, 18))  # 0.64 m
     pipeline, steps = run(log, KissIcpConfig(use_odometry=True))
     for before, step in pairwise(steps[9:18]):
         increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)

@@ -38,7 +38,7 @@ def random_information(rng: np.random.Generator, rank: int = 3) -> FloatArray:
 
 @given(seed=st.integers(0, 2**32 - 1), n_nodes=st.integers(1, 7), n_more=st.integers(0, 8))
 def test_covariances_are_the_diagonal_blocks_of_a_dense_inverse(seed: int, n_nodes: int, n_more: int) -> None:
-    """Each node hangs on an earlier one or the held one, by either end; more edges, of any rank, close loops."""
+    """Each node is attached to an earlier one or the held one, by either end; more edges, of any rank, close loops."""
     rng = np.random.default_rng(seed)
     ends = [[k, int(rng.integers(-1, k))] for k in range(n_nodes)]
     ends += [(rng.choice(n_nodes + 1, 2, replace=False) - 1).tolist() for _ in range(n_more)]

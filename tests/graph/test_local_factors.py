@@ -95,7 +95,7 @@ def test_what_lies_before_the_anchor_is_forgotten(rng: np.random.Generator) -> N
     others = [random_information(rng) for _ in range(3)] + informations[3:]
     factors, twin = filled(informations), filled(others)
     np.testing.assert_allclose(factors.of_latest(5)[1:], twin.of_latest(5)[1:], rtol=1e-9)
-    # again from the same anchor, and by way of it to a later one
+    # again from the same anchor, and over it to a later one
     np.testing.assert_allclose(factors.of_latest(5), twin.of_latest(5), rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(factors.of_latest(3), filled(informations).of_latest(3), rtol=1e-9, atol=1e-15)
     assert len(factors.of_latest(1)) == 1
@@ -115,7 +115,7 @@ STRAIGHT = np.array([0.3, 0.0, 0.0])
 
 
 def grown(information: FloatArray, n_maps: int = 6, n_overlap: int = 8, n_full: int = 15) -> FloatArray:
-    """(maps, n_overlap, 3, 3) covariances on each change of map, along a straight way."""
+    """(maps, n_overlap, 3, 3) covariances on each change of map, along a straight path."""
     factors, poses = LocalFactors(), poses_of(n_full + 7 * n_maps, STRAIGHT)
     factors.start(poses[0])
     covs: list[FloatArray] = []

@@ -256,7 +256,7 @@ def test_a_graph_rebuilt_gives_the_same_and_goes_on(graph: PoseGraph, rng: np.ra
     np.testing.assert_allclose(graph.poses(), poses, atol=1e-3)
 
 
-def test_a_piece_carried_to_where_it_lies_stays_there(graph: PoseGraph) -> None:
+def test_a_component_moved_to_where_it_lies_stays_there(graph: PoseGraph) -> None:
     """Half a turn is too much for small steps: the graph is solved from the poses that are given."""
     step, weak, strong = np.array([0.5, 0.1, 0.05]), np.eye(3) / 9.0, 1e4 * np.eye(3)
     graph.start(np.zeros(3))

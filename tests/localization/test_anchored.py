@@ -13,7 +13,7 @@ from slammot_graph.core.results import StepResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from tests.rooms import ROOM, ListLog, box, covered, drive, truth_from_start
+from tests.rooms import ROOM, ListLog, box, drive, occluded, truth_from_start
 
 N_SCANS = 70
 EMPTY_ROOM = ROOM[:4]
@@ -69,7 +69,7 @@ def test_poses_relative_to_the_anchor_agree_with_the_trajectory(room: Room) -> N
         np.testing.assert_allclose(step.T_anchor_base, step.match.T_ref_base, atol=0.01)
 
 
-def test_its_covariance_contains_what_scans_have_in_common(room: Room) -> None:
+def test_its_covariance_contains_what_is_correlated(room: Room) -> None:
     for step in room[1][1:]:
         assert step.match is not None
         assert np.abs(step.match.cov_correlated).max() > 0.0
@@ -78,30 +78,30 @@ def test_its_covariance_contains_what_scans_have_in_common(room: Room) -> None:
 
 
 def test_the_tests_covariance_contains_that_of_the_match_before(room: Room) -> None:
-    """Predicted from the scan before, which had errors in common with others, along the odometry."""
+    """Predicted from the scan before, which has errors correlated with others', along the odometry."""
     steps = room[1]
     for before, step in itertools.pairwise(steps[1:]):
         assert before.match is not None
         assert is_positive(step.cov_relative - before.match.cov_correlated)
         if step.anchor_scan == before.anchor_scan and before.node is None:
             increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)
-            own = before.cov_anchor_base - before.match.cov_correlated
+            independent = before.cov_anchor_base - before.match.cov_correlated
             noise = PipelineConfig().odometry_noise.covariance(increment)
-            expected = se2.compound_covariance(own, increment, noise) + before.match.cov_correlated
+            expected = se2.compound_covariance(independent, increment, noise) + before.match.cov_correlated
             np.testing.assert_allclose(step.cov_relative, expected, rtol=1e-9, atol=1e-15)
 
 
-def test_a_scan_without_a_match_keeps_what_was_common(room: Room) -> None:
-    covered_at = 12
-    steps, _ = steps_of(covered(drive(20, with_person=False), covered_at))
-    failed = steps[covered_at]
+def test_a_scan_without_a_match_keeps_what_was_correlated(room: Room) -> None:
+    occluded_at = 12
+    steps, _ = steps_of(occluded(drive(20, with_person=False), occluded_at))
+    failed = steps[occluded_at]
     assert failed.match is not None
     assert failed.match.status == "failed"
     np.testing.assert_allclose(failed.cov_anchor_base, failed.cov_relative, rtol=1e-9)
-    common = steps[covered_at - 1].match
-    assert common is not None
-    assert is_positive(failed.cov_anchor_base - common.cov_correlated)
-    assert np.trace(failed.cov_anchor_base) > np.trace(steps[covered_at - 1].cov_anchor_base)
+    before = steps[occluded_at - 1].match
+    assert before is not None
+    assert is_positive(failed.cov_anchor_base - before.cov_correlated)
+    assert np.trace(failed.cov_anchor_base) > np.trace(steps[occluded_at - 1].cov_anchor_base)
 
 
 def test_poses_err_as_much_as_they_say() -> None:

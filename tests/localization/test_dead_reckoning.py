@@ -1,22 +1,25 @@
+from dataclasses import asdict
+
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.localization import DeadReckoning
+from slammot_graph.localization import CommitResult, DeadReckoning
 from slammot_graph.localization.base import FIRST_COV
-from slammot_graph.odometry.noise import OdometryNoise
+from slammot_graph.odometry import OdometryNoise, WheelOdometry
 from tests.rooms import drive
 
 
 def test_trajectory_is_the_odometry_from_its_start() -> None:
     log, noise = drive(10), OdometryNoise()
-    localizer = DeadReckoning(noise)
+    localizer = DeadReckoning(WheelOdometry(noise))
     odometry = np.array([scan.T_odom_base for scan in log])
     expected = se2.between(odometry[0], odometry)
     cov = FIRST_COV
     for k, scan in enumerate(log):
         predicted = localizer.predict(scan)
         matched, match = localizer.match(scan.points_base(), scan.is_valid())
-        assert localizer.commit(scan, scan.points_base(), scan.is_valid()) == (None, False, [])
+        committed = localizer.commit(scan, scan.points_base(), scan.is_valid())
+        assert asdict(committed) == asdict(CommitResult())
         assert match is None
         assert matched is predicted
         np.testing.assert_allclose(predicted.T_local_base, expected[k], atol=1e-12)
@@ -34,6 +37,6 @@ def test_trajectory_is_the_odometry_from_its_start() -> None:
 
 
 def test_nothing_yet_is_an_empty_trajectory() -> None:
-    final = DeadReckoning(OdometryNoise()).final()
+    final = DeadReckoning(WheelOdometry(OdometryNoise())).final()
     assert final.T_map_base.shape == (0, 3)
     assert final.cov_map.shape == (0, 3, 3)

@@ -19,11 +19,11 @@ def test_trajectory_is_that_of_each_scan_on_its_node_and_anchor(seed: int, n_sca
     at_node, at_anchor = rng.integers(0, 5, (2, n_scans)).tolist()
     T_node_base, T_anchor_base = rng.normal(0.0, [3.0, 3.0, 2.0], (2, n_scans, 3))
     covs = random_covs(rng, n_scans)
-    visits = ScanPoses()
+    scan_poses = ScanPoses()
     for k in range(n_scans):
-        assert len(visits) == k
-        visits.append(at_node[k], T_node_base[k], at_anchor[k], T_anchor_base[k], covs[k])
-    T_map_base, cov_map = visits.trajectory(nodes, marginals)
+        assert len(scan_poses) == k
+        scan_poses.append(at_node[k], T_node_base[k], at_anchor[k], T_anchor_base[k], covs[k])
+    T_map_base, cov_map = scan_poses.trajectory(nodes, marginals)
     assert T_map_base.shape == (n_scans, 3)
     assert cov_map.shape == (n_scans, 3, 3)
     for k in range(n_scans):
@@ -33,9 +33,9 @@ def test_trajectory_is_that_of_each_scan_on_its_node_and_anchor(seed: int, n_sca
 
 
 def test_what_is_added_is_kept_as_it_was() -> None:
-    visits, T, cov = ScanPoses(), np.array([1.0, 2.0, 0.5]), np.eye(3)
-    visits.append(0, T, 0, T, cov)
+    scan_poses, T, cov = ScanPoses(), np.array([1.0, 2.0, 0.5]), np.eye(3)
+    scan_poses.append(0, T, 0, T, cov)
     T[:], cov[:] = 7.0, 7.0
-    T_map_base, cov_map = visits.trajectory(np.zeros((1, 3)), np.zeros((1, 3, 3)))
+    T_map_base, cov_map = scan_poses.trajectory(np.zeros((1, 3)), np.zeros((1, 3, 3)))
     np.testing.assert_array_equal(T_map_base, [[1.0, 2.0, 0.5]])
     np.testing.assert_array_equal(cov_map, [np.eye(3)])

@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,10 +8,11 @@ from slammot_graph.core import se2
 from slammot_graph.core.linalg import is_covariance
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
-from slammot_graph.odometry.noise import OdometryNoise
-from tests.rooms import CORRIDOR, carried, covered, drive, errors, truth_from_start
+from slammot_graph.odometry import Motion, OdometryNoise, WheelOdometry
+from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, truth_from_start
 
 N_LOST = 3
 
@@ -18,8 +20,8 @@ N_LOST = 3
 @pytest.fixture
 def localizer() -> Iterator[ScanToMap]:
     localizer = ScanToMap(
-        noise=OdometryNoise(),
-        config=ScanToMapConfig(
+        WheelOdometry(OdometryNoise()),
+        ScanToMapConfig(
             n_lost=N_LOST, close_loops=False, local_map=LocalMapConfig(max_keyframes=6, n_overlap=3)
         ),
     )
@@ -34,8 +36,9 @@ def step(
     points, is_valid = scan.points_base(), scan.is_valid(max_range)
     predicted = localizer.predict(scan)
     matched, match = localizer.match(points, is_valid)
-    node, _, events = localizer.commit(scan, points, is_valid)
-    return predicted, matched, match, node, events
+    committed = localizer.commit(scan, points, is_valid)
+    assert all(event.scan == scan.index for event in committed.events)
+    return predicted, matched, match, committed.node, [event.text for event in committed.events]
 
 
 def test_room_is_followed_with_nodes_at_keyframes(localizer: ScanToMap) -> None:
@@ -112,7 +115,7 @@ def test_a_long_bare_corridor_at_full_range_keeps_to_the_odometry(localizer: Sca
     log = drive(200, seed=seed, walls=CORRIDOR, is_straight=True, with_person=False)
     truth, along = truth_from_start(log), 0.0
     for k, scan in enumerate(log):
-        heading = localizer._T_local_base[2]
+        heading = localizer.propagation.state.T_local_base[2]
         predicted, matched, match, _, events = step(localizer, scan)
         assert events == []
         if match is None:
@@ -123,15 +126,15 @@ def test_a_long_bare_corridor_at_full_range_keeps_to_the_odometry(localizer: Sca
         x, y, theta = matched.T_local_base
         assert x == pytest.approx(along, abs=0.03 + 0.02 * along)
         assert max(abs(y), abs(theta)) < 0.02
-        # it claims no more than the odometry knows along the corridor, and honestly
+        # it claims no more than the odometry knows along the corridor, and consistently
         assert matched.cov_relative[0, 0] > 0.9 * predicted.cov_relative[0, 0]
         assert abs(x - truth[k, 0]) < 3.0 * np.sqrt(matched.cov_absolute[0, 0]) + 0.01
     assert along > 15.0
     assert np.sqrt(localizer.final().cov_map[-1, 0, 0]) > 0.1
 
 
-def test_a_covered_scan_is_predicted_and_the_next_matched(localizer: ScanToMap) -> None:
-    log = covered(drive(20, with_person=False), 10)
+def test_an_occluded_scan_is_predicted_and_the_next_matched(localizer: ScanToMap) -> None:
+    log = occluded(drive(20, with_person=False), 10)
     for k, scan in enumerate(log):
         predicted, matched, match, node, events = step(localizer, scan)
         if k == 10:
@@ -147,8 +150,8 @@ def test_a_covered_scan_is_predicted_and_the_next_matched(localizer: ScanToMap) 
     assert max(errors(truth_from_start(log), localizer.final().T_map_base)) < 0.03
 
 
-def test_a_covered_laser_keeps_its_local_map(localizer: ScanToMap) -> None:
-    log = covered(drive(30, with_person=False), *range(8, 8 + 4 * N_LOST))
+def test_an_occluded_laser_keeps_its_local_map(localizer: ScanToMap) -> None:
+    log = occluded(drive(30, with_person=False), *range(8, 8 + 4 * N_LOST))
     for k, scan in enumerate(log):
         before = localizer.local_map.anchor.node if k else 0
         _, _, match, node, events = step(localizer, scan)
@@ -166,7 +169,7 @@ def test_a_covered_laser_keeps_its_local_map(localizer: ScanToMap) -> None:
 
 
 def test_failures_in_a_row_start_a_new_local_map(localizer: ScanToMap) -> None:
-    log, events = carried(drive(40, with_person=False), 5), {}
+    log, events = kidnapped(drive(40, with_person=False), 5), {}
     for k, scan in enumerate(log):
         _, _, match, node, told = step(localizer, scan)
         if told:
@@ -182,7 +185,7 @@ def test_failures_in_a_row_start_a_new_local_map(localizer: ScanToMap) -> None:
     assert [len(told) for told in events.values()] == [1, 1, 2]
     assert events[7][1] == f"lost: {N_LOST} matches failed in a row, a new local map begins here"
     final, truth = localizer.final(), truth_from_start(log)
-    # whole in itself after the loss, and the way between is the odometry's
+    # whole in itself after the loss, and the motion between is the odometry's
     after = se2.between(final.T_map_base[7], final.T_map_base[7:])
     assert max(errors(se2.between(truth[7], truth[7:]), after)) < 0.02
     assert errors(truth, final.T_map_base)[0] < 0.1
@@ -192,8 +195,8 @@ def test_failures_in_a_row_start_a_new_local_map(localizer: ScanToMap) -> None:
     assert (std[:5] < 0.05).all()
 
 
-def test_a_covered_scan_does_not_count_between_failures(localizer: ScanToMap) -> None:
-    log, lost = covered(carried(drive(20, with_person=False), 5), 6), []
+def test_an_occluded_scan_does_not_count_between_failures(localizer: ScanToMap) -> None:
+    log, lost = occluded(kidnapped(drive(20, with_person=False), 5), 6), []
     for k, scan in enumerate(log):
         lost += [k for text in step(localizer, scan)[4] if text.startswith("lost")]
     assert lost == [8]
@@ -204,3 +207,54 @@ def test_nothing_yet_is_an_empty_trajectory(localizer: ScanToMap) -> None:
     assert final.T_map_base.shape == (0, 3)
     assert final.cov_map.shape == (0, 3, 3)
     assert (len(final.nodes), len(final.node_scans), final.edges) == (0, 0, ())
+
+
+class PreviousMotion:
+    """Without wheels: the motion is that of the scan before."""
+
+    def __init__(self) -> None:
+        self.T_odom_base: FloatArray = np.zeros(3)
+        self._T_local_base: FloatArray | None = None
+        self._increment: FloatArray = np.zeros(3)
+
+    def advance(self, scan: Scan) -> Motion | None:
+        if self._T_local_base is None:
+            return None
+        self.T_odom_base = se2.compose(self.T_odom_base, self._increment)
+        return Motion(increment=self._increment, cov=np.diag([0.05, 0.05, 0.05]) ** 2)
+
+    def correct(self, T_local_base: FloatArray) -> None:
+        if self._T_local_base is not None:
+            self._increment = se2.between(self._T_local_base, T_local_base)
+        self._T_local_base = T_local_base
+
+
+def test_another_motion_model_takes_the_place_of_the_wheels() -> None:
+    """The scans' odometry is not read by any other part."""
+    log = drive(60, with_person=False)
+    localizer = ScanToMap(PreviousMotion(), ScanToMapConfig())
+    for k, scan in enumerate(log):
+        _, _, match, _, texts = step(localizer, replace(scan, T_odom_base=np.full(3, np.nan)))
+        assert texts == []
+        assert match is None if k == 0 else match is not None
+    final = localizer.final()
+    localizer.close()
+    assert max(errors(truth_from_start(log), final.T_map_base)) < 0.02
+    assert all(is_covariance(cov) for cov in final.cov_map)
+
+
+def test_a_commit_tells_of_keyframes_and_losses(localizer: ScanToMap) -> None:
+    log, committed = kidnapped(drive(20, with_person=False), 5), []
+    for scan in log:
+        points, is_valid = scan.points_base(), scan.is_valid()
+        localizer.predict(scan)
+        localizer.match(points, is_valid)
+        committed.append(localizer.commit(scan, points, is_valid))
+    assert [k for k, result in enumerate(committed) if result.is_lost] == [7]
+    assert [event.severity for event in committed[7].events] == ["warning", "error"]
+    assert committed[7].events[1].data == {"cause": "failed matches", "n_scans": N_LOST}
+    assert committed[0].is_keyframe
+    assert committed[7].is_keyframe
+    assert all(result.is_keyframe == (result.node is not None) for result in committed)
+    assert all(result.closures == () for result in committed)
+    assert localizer.insertion.n_times_lost == 1

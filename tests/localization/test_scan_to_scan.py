@@ -4,7 +4,7 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.scan import Scan
 from slammot_graph.localization import ScanToScan
-from slammot_graph.odometry.noise import OdometryNoise
+from slammot_graph.odometry import OdometryNoise, WheelOdometry
 from slammot_graph.registration.point_to_point import PointToPointConfig
 from tests.rooms import take_scan
 
@@ -13,7 +13,7 @@ STEP = np.array([0.01, 0.005, 0.004])
 
 
 def test_scans_are_chained_by_their_matches() -> None:
-    localizer = ScanToScan(OdometryNoise(), PointToPointConfig(tau_m=1e-9))
+    localizer = ScanToScan(WheelOdometry(OdometryNoise()), PointToPointConfig(tau_m=1e-9))
     poses = [A, se2.compose(A, STEP), se2.compose(se2.compose(A, STEP), STEP)]
     total, cov = np.zeros(3), localizer.estimate.cov_absolute
     for k, T in enumerate(poses):
@@ -31,18 +31,18 @@ def test_scans_are_chained_by_their_matches() -> None:
     np.testing.assert_allclose(localizer.final().T_map_base[-1], total, atol=1e-12)
 
 
-def covered(scan: Scan) -> Scan:
+def occluded(scan: Scan) -> Scan:
     scan.ranges[:] = np.nan
     return scan
 
 
-def test_a_covered_scan_falls_back_on_the_odometry_and_so_does_the_next() -> None:
-    localizer, statuses = ScanToScan(OdometryNoise(), PointToPointConfig()), []
+def test_an_occluded_scan_falls_back_on_the_odometry_and_so_does_the_next() -> None:
+    localizer, statuses = ScanToScan(WheelOdometry(OdometryNoise()), PointToPointConfig()), []
     for k in range(4):
         T = se2.compose(A, k * STEP)
         scan = take_scan(T, index=k)
         if k == 1:
-            covered(scan)
+            occluded(scan)
         localizer.predict(scan)
         estimate, match = localizer.match(scan.points_base(), scan.is_valid())
         localizer.commit(scan, scan.points_base(), scan.is_valid())

@@ -5,18 +5,12 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
-from slammot_graph.loop_closure.submap import (
-    CELL_M,
-    FREE_SCORE,
-    N_LEVELS,
-    NEIGHBOUR_SCORE,
-    OCCUPIED_SCORE,
-    PreparedSubmap,
-    Submap,
-)
+from slammot_graph.loop_closure.submap import PreparedSubmap, Submap, SubmapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig, make_keyframe
 from tests.rooms import LASER, ROOM, take_scan, wall_distance
 
+CONFIG = SubmapConfig()
+CELL_M, N_LEVELS = CONFIG.cell_m, CONFIG.n_levels
 PLACES = np.array([[2.0 + 0.02 * k, 0.1 * k, 1.5 + 0.05 * k] for k in range(9)])
 SHIFT = np.array([20.0, -30.0, 2.5])
 
@@ -105,11 +99,11 @@ def test_scores_are_most_on_points_half_beside_and_a_loss_in_free_space(
     for i in range(rows):
         for j in range(cols):
             if (i, j) in cells:
-                expected = [OCCUPIED_SCORE]
+                expected = [CONFIG.occupied_score]
             elif (i, j) in beside:
-                expected = [NEIGHBOUR_SCORE]
+                expected = [CONFIG.neighbour_score]
             else:
-                expected = [FREE_SCORE] if prepared.is_free[i, j] else [0]
+                expected = [CONFIG.free_score] if prepared.is_free[i, j] else [0]
             assert prepared.score[i, j] in expected
     margin = 1 << (N_LEVELS - 1)
     assert not prepared.score[: margin - 1].any()
@@ -191,5 +185,5 @@ def test_the_margin_of_the_search_is_empty_whoever_sees_farthest() -> None:
         points = Submap(0, tuple(keyframes), 0.0).points_and_normals[0]
         cells = np.floor((points - prepared.origin) / CELL_M).astype(int)
         assert (
-            prepared.score[cells[:, 1], cells[:, 0]] >= NEIGHBOUR_SCORE
+            prepared.score[cells[:, 1], cells[:, 0]] >= CONFIG.neighbour_score
         ).all()  # rounding moves some by a cell

@@ -31,7 +31,7 @@ def test_a_still_robot_has_the_still_noise() -> None:
 @pytest.mark.parametrize(
     ("name", "variances"),
     [
-        ("std_m_per_sqrt_m", [0.05, 0.0]),  # 0.1^2 times a way of 5 m
+        ("std_m_per_sqrt_m", [0.05, 0.0]),  # 0.1^2 times a distance of 5 m
         ("std_rad_per_sqrt_m", [0.0, 0.05]),
         ("std_m_per_sqrt_rad", [0.02, 0.0]),  # times a turn of 2 rad
         ("std_rad_per_sqrt_rad", [0.0, 0.02]),

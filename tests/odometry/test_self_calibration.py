@@ -17,7 +17,9 @@ OF_TURN = ("std_m_per_sqrt_rad", "std_rad_per_sqrt_rad", "ratio_rad_per_rad")
 TYPICAL = np.array([1.0, 0.0, 1.0])
 
 
-def way(n: int, rng: np.random.Generator, *, turning: bool = True, driving: bool = True) -> FloatArray:
+def drive_at_random(
+    n: int, rng: np.random.Generator, *, turning: bool = True, driving: bool = True
+) -> FloatArray:
     """(n, 3) poses: drives straight, drives bends, turns on the spot, and stands, for 40 scans each."""
     kind = rng.integers(0, 4, n // 40 + 1).repeat(40)[: n - 1]
     speed = np.where((kind < 2) & driving, rng.uniform(0.03, 0.07, n - 1), 0.0)
@@ -51,7 +53,7 @@ def calibrated(
     noise: robot.OdometryNoise, *, scale: float = 1.0, n: int = 3000, seed: int = 0
 ) -> Calibration:
     rng = np.random.default_rng(seed)
-    T_world_base = way(n, rng)
+    T_world_base = drive_at_random(n, rng)
     T_odom_base, _ = robot.simulate_odometry(T_world_base, noise, rng, noise_scale=scale)
     return calibrate(cut(T_world_base, T_odom_base, rng))
 
@@ -86,7 +88,7 @@ def test_way_and_turn_are_told_apart() -> None:
 
 def test_a_wrong_scale_is_a_ratio() -> None:
     rng = np.random.default_rng(3)
-    T_world_base = way(4000, rng)
+    T_world_base = drive_at_random(4000, rng)
     increments = se2.log(se2.between(T_world_base[:-1], T_world_base[1:])) * [1.06, 1.06, 1.09]
     T_odom_base = [np.zeros(3)]
     for increment in se2.exp(increments):
@@ -107,7 +109,7 @@ def test_slips_hardly_count() -> None:
 def test_a_windows_covariance_is_what_the_pipeline_compounds() -> None:
     rng = np.random.default_rng(0)
     noise = OdometryNoise(ratio_m_per_m=0.0, ratio_rad_per_rad=0.0)
-    T = way(60, rng)
+    T = drive_at_random(60, rng)
     eye = np.zeros((60, 3, 3))
     windows = cut_windows(
         T, T, eye, eye, np.zeros(60, dtype=np.int64), np.ones(60, dtype=np.bool_), lengths=(50,)
@@ -123,13 +125,18 @@ def test_a_windows_covariance_is_what_the_pipeline_compounds() -> None:
 def test_a_window_of_one_increment_has_the_covariance_of_the_increment() -> None:
     noise, T = OdometryNoise(), np.array([[3.0, 1.0, 2.0], [3.2, 0.7, 1.1]])
     T_match = se2.compose(T, np.array([[0.0, 0.0, 0.0], [0.02, 0.01, -0.03]]))
-    own, common = np.array([np.diag([1e-5, 2e-5, 3e-6])] * 2), np.array([np.diag([4e-6, 5e-6, 6e-7])] * 2)
-    windows = cut_windows(T, T_match, own, common, np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.bool_))
+    independent, correlated = (
+        np.array([np.diag([1e-5, 2e-5, 3e-6])] * 2),
+        np.array([np.diag([4e-6, 5e-6, 6e-7])] * 2),
+    )
+    windows = cut_windows(
+        T, T_match, independent, correlated, np.zeros(2, dtype=np.int64), np.ones(2, dtype=np.bool_)
+    )
     assert (len(windows), windows.n_scans.tolist()) == (1, [1])
     increment = se2.between(T[0], T[1])
     np.testing.assert_allclose(windows.covariance(noise, 0.0)[0], noise.covariance(increment), atol=1e-15)
     moved = se2.between(T_match[0], T_match[1])
-    expected = se2.compound_covariance(own[0], moved, own[1] + common[1])
+    expected = se2.compound_covariance(independent[0], moved, independent[1] + correlated[1])
     np.testing.assert_allclose(windows.cov_match[0], expected, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(windows.residuals[0], se2.log(np.array([0.02, 0.01, -0.03])), atol=1e-12)
     assert windows.distance_m[0] == pytest.approx(np.hypot(0.2, 0.3))
@@ -163,7 +170,7 @@ def test_motion_that_is_missing_keeps_its_defaults(
     turning: bool, driving: bool, kept: tuple[str, ...]
 ) -> None:
     rng = np.random.default_rng(2)
-    T_world_base = way(1000, rng, turning=turning, driving=driving)
+    T_world_base = drive_at_random(1000, rng, turning=turning, driving=driving)
     T_odom_base, _ = robot.simulate_odometry(T_world_base, RANDOM, rng)
     default = OdometryNoise(std_m_per_sqrt_rad=0.021, ratio_m_per_m=0.051)
     got = calibrate(cut(T_world_base, T_odom_base, rng), default)
@@ -178,7 +185,7 @@ def test_motion_that_is_missing_keeps_its_defaults(
 
 def test_matches_that_err_more_than_they_say_are_not_taken_for_the_odometry() -> None:
     rng = np.random.default_rng(4)
-    T_world_base = way(3000, rng)
+    T_world_base = drive_at_random(3000, rng)
     T_odom_base, _ = robot.simulate_odometry(T_world_base, RANDOM, rng)
     windows = cut(T_world_base, T_odom_base, rng, 2.0 * MATCH_STD)
     got = calibrate(replace(windows, cov_match=windows.cov_match / 4.0))
@@ -198,7 +205,7 @@ def test_a_long_log_is_thinned_and_a_standing_robot_counts_little(monkeypatch: p
 
 def test_too_few_windows_are_refused() -> None:
     rng = np.random.default_rng(0)
-    T = way(10, rng)
+    T = drive_at_random(10, rng)
     with pytest.raises(InputError, match=r"windows of scans matched on one local map: \d+, needed: 30"):
         calibrate(cut(T, T, rng))
 

@@ -11,6 +11,7 @@ import pytest
 from slammot_graph import Run
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.events import make_event
 from slammot_graph.core.results import GridMap, RunResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import read_trajectory
@@ -161,6 +162,19 @@ def test_covariances_are_read_back(folder: Path) -> None:
     with np.load(folder / "covariances.npz") as file:
         np.testing.assert_array_equal(file["cov_map"], result().cov_map)
         np.testing.assert_array_equal(file["stamps"], result().stamps)
+
+
+def test_the_summary_keeps_events_with_their_kind(tmp_path: Path) -> None:
+    lost = make_event("lost", 7, cause="kidnapped", n_scans=8)
+    write_run_folder(tmp_path / "lost", replace(result(), events=(lost,)))
+    (told,) = json.loads((tmp_path / "lost" / "summary.json").read_text())["events"]
+    assert told == {
+        "scan": 7,
+        "text": lost.text,
+        "kind": "lost",
+        "severity": "error",
+        "data": {"cause": "kidnapped", "n_scans": 8},
+    }
 
 
 def test_the_summary_counts(folder: Path) -> None:

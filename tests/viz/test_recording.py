@@ -18,6 +18,7 @@ from slammot_graph.cli.running import _record
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.events import make_event
 from slammot_graph.core.results import ClosureAttempt, ClosureStatus, GridMap, RunResult, StepResult
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.localization import ScanToMap
@@ -379,14 +380,21 @@ def test_plots_end_above_most_of_their_values(nis: list[float], top: float, tmp_
     assert set(without) == {"nis"}
 
 
-def test_events_name_their_scan(tmp_path: Path) -> None:
+def test_events_name_their_scan_and_are_as_loud_as_they_are_serious(tmp_path: Path) -> None:
+    told = {
+        5: (make_event("closure refused", 5, target_node=1, source_node=9, reason="no pose agrees"),),
+        7: (make_event("match failed", 7, reason="so it is"),),
+        8: (make_event("lost", 8, cause="kidnapped", n_scans=8),),
+    }
     log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
     for k, step in enumerate(Run(drive(10))):
-        log.log_step(replace(step, events=("match failed: so it is",) if k == 7 else ()))
+        log.log_step(replace(step, events=told.get(k, ())))
     log.close()
     texts = entries(tmp_path / "run.rrd", "/log/events", "TextLog:text")
-    assert texts == {7: ["scan 7: match failed: so it is"]}
-    assert entries(tmp_path / "run.rrd", "/log/events", "TextLog:level") == {7: ["WARN"]}
+    assert texts == {k: [f"scan {k}: {event.text}" for event in events] for k, events in told.items()}
+    assert texts[7][0] == "scan 7: match failed: so it is"
+    levels = entries(tmp_path / "run.rrd", "/log/events", "TextLog:level")
+    assert levels == {5: ["INFO"], 7: ["WARN"], 8: ["ERROR"]}
 
 
 def test_a_recording_is_small(tmp_path: Path) -> None:

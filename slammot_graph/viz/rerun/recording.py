@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, get_args
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import Severity
 from slammot_graph.core.results import (
     ClosureStatus,
     EdgeKind,
@@ -110,6 +111,9 @@ ATTEMPT_COLORS: Mapping[ClosureStatus, int] = {
 STATIC, MOVING, DOUBTFUL = 1, 2, 3
 """Classes of points; doubtful are those called static although they more probably moved."""
 COLOR_DOUBTFUL, COLOR_RECENT = 0xF2A900FF, 0x4A4A4AFF
+LEVELS: Mapping[Severity, str] = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+"""Log level of an event of each severity."""
+
 COLOR_POSE_COV = 0x003A70FF
 COLOR_CELLS = (0xCFC4E6FF, 0xD5EFD0FF, 0xD0B080FF)
 """Of cells of the test: unknown, free, occupied; light, so that points and ellipses stand out."""
@@ -675,9 +679,9 @@ class RerunLog:
         times = _times(steps)
         row_of = [row for row, step in enumerate(steps) for _ in step.events]
         if row_of:
-            events = [(step.scan.index, event) for step in steps for event in step.events]
-            texts = [f"scan {index}: {event}" for index, event in events]  # the view cuts its own column
-            levels = ["WARN" if _is_warning(event) else "INFO" for _, event in events]
+            events = [event for step in steps for event in step.events]
+            texts = [f"scan {event.scan}: {event.text}" for event in events]  # the view cuts its own column
+            levels = [LEVELS[event.severity] for event in events]
             self._send("/log/events", times[row_of], rr.TextLog.columns(text=texts, level=levels))
         states = ["none" if step.match is None else step.match.status for step in steps]
         before = [self._sent.state, *states[:-1]]
@@ -1179,10 +1183,6 @@ def _tops(result: RunResult) -> dict[str, float]:
 
 def _has_truth(step: StepResult) -> bool:
     return step.scan.truth is not None and step.scan.truth.T_world_base is not None
-
-
-def _is_warning(event: str) -> bool:
-    return any(word in event for word in ("fail", "reject", "degenerate", "skip", "interrupt"))
 
 
 def _config_table(config: Mapping[str, Any]) -> str:

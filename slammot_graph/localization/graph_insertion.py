@@ -1,0 +1,163 @@
+"""Graph insertion: which keyframes become nodes, by which factors they are tied, and when loops are looked for."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.linalg import invert
+from slammot_graph.core.results import ClosureAttempt, MatchResult
+from slammot_graph.core.types import FloatArray
+from slammot_graph.graph import LocalFactors, PoseGraph
+from slammot_graph.localization.base import FIRST_COV
+from slammot_graph.localization.config import ScanToMapConfig
+from slammot_graph.localization.keyframe_state import KeyframeState
+from slammot_graph.loop_closure import LoopCloser, Submap
+from slammot_graph.mapping.local_map import Keyframe, LocalMap
+from slammot_graph.odometry.propagation import MotionState
+
+
+class GraphInsertion:
+    """Puts keyframes into the pose graph and the local map, and tells the loop closing of finished local maps.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+    local_factors : LocalFactors
+        Those around the local map.
+    local_map : LocalMap
+    closer : LoopCloser or None
+    keyframes : KeyframeState
+    cov_anchor : (3, 3) array
+        Of the local map's anchor in the map, right perturbation (body frame).
+    node_scans : list of int
+        Scan index of each node.
+    n_times_lost : int
+        Components of the graph so far, less one: of the motion between two of them nothing is known.
+    """
+
+    def __init__(self, config: ScanToMapConfig, local_map: LocalMap) -> None:
+        self.graph = PoseGraph(config.graph)
+        self.local_factors = LocalFactors()
+        self.local_map = local_map
+        self.closer = LoopCloser(config.closure, config.local_map, self.graph) if config.close_loops else None
+        self.keyframes = KeyframeState()
+        self.cov_anchor: FloatArray = FIRST_COV
+        self.node_scans: list[int] = []
+        self.n_times_lost = 0
+        self._n_submaps = 0
+        self._submap_config = config.closure.submap
+
+    def anchor(self, T_local_base: FloatArray) -> tuple[int, FloatArray]:
+        """Node of the anchor, and a pose (3,) in its frame; without a local map, of the last node."""
+        if self.local_map.keyframes:
+            anchor = self.local_map.anchor
+            return anchor.node, se2.between(anchor.T_local_base, T_local_base)
+        return max(len(self.graph) - 1, 0), self.keyframes.on_node(T_local_base)
+
+    def advance(self, state: MotionState, T_odom_base: FloatArray, match: MatchResult | None) -> None:
+        """Carry what is known since the last node, and since the anchor, on to a new keyframe."""
+        if len(self.graph) == 0:
+            self.keyframes.start(T_odom_base)
+            return
+        T_last_this = self.keyframes.advance(T_odom_base, state.cov_odometry, match)
+        information = np.zeros((3, 3)) if match is None else match.information
+        self.local_factors.add(T_last_this, invert(state.cov_odometry), state.T_local_base, information)
+
+    def needs_node(self) -> bool:
+        """Tell whether a new keyframe goes into the graph: in a known place only where a local map is attached to it.
+
+        That is the keyframe that finishes the local map, and those at which a later one begins.
+        """
+        n, config = len(self.local_map.keyframes), self.local_map.config
+        if n == 0 or self.closer is None or not self.closer.is_known:
+            return True
+        return n == config.max_keyframes - 1 or n % (config.max_keyframes - config.n_overlap) == 0
+
+    def add_node(
+        self, scan: int, T_local_base: FloatArray, T_odom_base: FloatArray, match: MatchResult | None
+    ) -> int:
+        """Add a node, tied by odometry to the last one and by the match to the anchor.
+
+        Parameters
+        ----------
+        scan : int
+            Index of its scan.
+        T_local_base, T_odom_base : (3,) arrays
+            By the matches, and dead-reckoned.
+        match : MatchResult or None
+
+        Returns
+        -------
+        The node's number.
+        """
+        keyframes = self.keyframes
+        if len(self.graph) == 0:
+            T_map_node = T_local_base
+            node = self.graph.start(T_map_node)
+        else:
+            last = len(self.graph) - 1
+            T_map_node = se2.compose(keyframes.T_map_local, T_local_base)
+            node = self.graph.add_node(T_map_node)
+            T_last_node = keyframes.since_node(T_odom_base)
+            self.graph.add_edge("odometry", last, node, T_last_node, invert(keyframes.cov_since_node))
+            if match is not None and match.status != "failed" and self.local_map.keyframes:
+                anchor = self.local_map.anchor.node
+                self.graph.add_edge("match", anchor, node, match.T_ref_base, match.graph_information)
+        keyframes.start_node(T_odom_base, T_local_base, T_map_node)
+        self.node_scans.append(scan)
+        return node
+
+    def add_keyframe(
+        self, keyframe: Keyframe, node: int | None, state: MotionState, path_m: float
+    ) -> tuple[MotionState, tuple[ClosureAttempt, ...]]:
+        """Add a keyframe to the local map; look for loops where that finished it.
+
+        Parameters
+        ----------
+        keyframe : Keyframe
+        node : int or None
+            The node just added for it.
+        state : MotionState
+            At the keyframe.
+        path_m : float
+            Length of the path so far [m].
+
+        Returns
+        -------
+        The state relative to the local map's anchor, which may be another one now, and the closures tried.
+        """
+        keyframes = self.keyframes
+        is_first = not self.local_map.keyframes
+        finished = self.local_map.add(keyframe, None if is_first else state.cov_independent)
+        closures: tuple[ClosureAttempt, ...] = ()
+        if finished and self.closer is not None:
+            closures = self.closer.consider(self._submap(finished, path_m))
+        anchor = self.local_map.anchor.node
+        if node is not None and (is_first or finished):
+            keyframes.place_node(self.graph.pose(node))
+            self.cov_anchor = self.graph.marginal(anchor)
+            keyframes.cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
+        if is_first:
+            self.local_factors.start(state.T_local_base)
+            state = replace(state, cov_independent=FIRST_COV, cov_correlated=np.zeros((3, 3)))
+        elif finished:
+            covs = self.local_factors.of_latest(len(self.local_map.keyframes))
+            self.local_map.set_covariances(covs)
+            state = replace(state, cov_independent=covs[-1])
+        return replace(state, cov_prior=keyframes.cov_keyframe), closures
+
+    def start_component(self, path_m: float) -> None:
+        """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.
+
+        What the local map held so far goes to the loop closing.
+        """
+        self.cov_anchor = self.graph.marginal(len(self.graph) - 1)
+        if self.closer is not None and len(self.local_map.keyframes) > 1:
+            self.closer.submaps.append(self._submap(tuple(self.local_map.keyframes), path_m))
+        self.n_times_lost += 1
+        self.local_map.start([])
+
+    def _submap(self, keyframes: tuple[Keyframe, ...], path_m: float) -> Submap:
+        self._n_submaps += 1
+        return Submap(self._n_submaps - 1, keyframes, path_m, self.n_times_lost, self._submap_config)

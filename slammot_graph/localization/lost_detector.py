@@ -1,0 +1,84 @@
+"""Lost detection: matches that fail in a row, and robots that may have been kidnapped while they saw nothing."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.results import MatchResult
+from slammot_graph.core.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """Why the robot is taken for lost, and after how many scans."""
+
+    cause: Literal["failed matches", "kidnapped"]
+    n_scans: int
+
+
+class LostDetector:
+    """Counts failed matches and scans with nothing in sight.
+
+    Attributes
+    ----------
+    n_lost : int
+        So many in a row mean that the robot is lost.
+    kidnapped_distance_m : float
+        A robot whose odometry moved less than this while it saw nothing may have been kidnapped.
+    n_failed : int
+        Matches that failed in a row, save those without enough points and those that only contradict the odometry.
+    n_blind : int
+        Scans in a row with nothing in sight.
+    """
+
+    def __init__(self, n_lost: int, kidnapped_distance_m: float) -> None:
+        self.n_lost = n_lost
+        self.kidnapped_distance_m = kidnapped_distance_m
+        self.n_failed = 0
+        self.n_blind = 0
+        self._T_odom_seen: FloatArray = se2.IDENTITY
+
+    def update(
+        self, match: MatchResult | None, T_odom_base: FloatArray, *, has_points: bool, has_local_map: bool
+    ) -> Loss | None:
+        """Take in the next scan; tells if the robot is lost now.
+
+        Parameters
+        ----------
+        match : MatchResult or None
+        T_odom_base : (3,) array
+            Dead-reckoned pose.
+        has_points : bool
+            Enough for a match.
+        has_local_map : bool
+            There was something to match onto.
+        """
+        has_failed = match is not None and match.status == "failed"
+        if match is not None and has_failed:
+            self.n_failed += has_points and not match.is_refused
+        else:
+            self.n_failed = 0
+        loss = None
+        if has_points and has_local_map and self._may_be_kidnapped(T_odom_base, has_failed):
+            loss = Loss(cause="kidnapped", n_scans=self.n_blind)
+        elif self.n_failed >= self.n_lost:
+            loss = Loss(cause="failed matches", n_scans=self.n_lost)
+        if loss is not None:
+            self.n_failed = 0
+        if has_points:
+            self.n_blind, self._T_odom_seen = 0, T_odom_base
+        else:
+            self.n_blind += 1
+        return loss
+
+    def _may_be_kidnapped(self, T_odom_base: FloatArray, has_failed: bool) -> bool:
+        """Tell whether the robot may have been moved while it saw nothing.
+
+        Who kidnaps a robot occludes its laser, and its wheels stand still: then even a good match proves nothing.
+        """
+        if self.n_blind < self.n_lost:
+            return False
+        distance_m = float(np.hypot(*se2.between(self._T_odom_seen, T_odom_base)[:2]))
+        return distance_m < self.kidnapped_distance_m or has_failed

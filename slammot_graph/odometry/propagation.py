@@ -1,0 +1,195 @@
+"""Propagation: the motion since the scan before, and a pose with its covariances carried along it.
+
+The only part of localization that reads a scan's odometry: the others get increments and poses from here.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Motion of the base between two scans.
+
+    Attributes
+    ----------
+    increment : (3,) array
+        The base in its own frame at the scan before [m, m, rad].
+    cov : (3, 3) array
+        Its covariance, right perturbation (body frame).
+    """
+
+    increment: FloatArray
+    cov: FloatArray
+
+
+class MotionModel(Protocol):
+    """What tells of the motion between scans: wheels, an IMU's yaw rate, or the motion before."""
+
+    @property
+    def T_odom_base(self) -> FloatArray:
+        """(3,) dead-reckoned pose at the scan of the last `advance`; where its frame lies does not matter."""
+
+    def advance(self, scan: Scan) -> Motion | None:
+        """Move on to the next scan: the motion since the one before, None at the first."""
+
+    def correct(self, T_local_base: FloatArray) -> None:
+        """Take in where the base was found at the scan of the last `advance`, local frame (3,).
+
+        A model that predicts from earlier motion learns from this; wheels do not.
+        """
+
+
+class WheelOdometry:
+    """The motion that the wheels tell, with the covariance of a noise model.
+
+    Attributes
+    ----------
+    noise : OdometryNoise or ConstantNoise
+    T_odom_base : (3,) array
+    """
+
+    def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
+        self.noise = noise
+        self.T_odom_base: FloatArray = se2.IDENTITY
+        self._is_first = True
+
+    def advance(self, scan: Scan) -> Motion | None:
+        """See `MotionModel`."""
+        before, self.T_odom_base = self.T_odom_base, scan.T_odom_base
+        if self._is_first:
+            self._is_first = False
+            return None
+        increment = se2.between(before, self.T_odom_base)
+        return Motion(increment=increment, cov=self.noise.covariance(increment))
+
+    def correct(self, T_local_base: FloatArray) -> None:
+        """See `MotionModel`; wheels learn nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionState:
+    """A pose in the local frame, and how well it is known; all covariances are right perturbations (body frame).
+
+    Attributes
+    ----------
+    T_local_base : (3,) array
+    cov_prior : (3, 3) array
+        Of the pose relative to the local map's anchor as the graph counts it, what the next match is weighed against.
+    cov_independent : (3, 3) array
+        Of the pose relative to the anchor: the errors that the scans do not share.
+    cov_correlated : (3, 3) array
+        The errors that the matches of neighbouring scans share; the motion leaves it as it is.
+    cov_odometry : (3, 3) array
+        Of the odometry's motion since the last keyframe.
+    """
+
+    T_local_base: FloatArray
+    cov_prior: FloatArray
+    cov_independent: FloatArray
+    cov_correlated: FloatArray
+    cov_odometry: FloatArray
+
+    @property
+    def cov_relative(self) -> FloatArray:
+        """(3, 3) covariance of the pose relative to the local map's anchor."""
+        return self.cov_independent + self.cov_correlated
+
+    def moved(self, motion: Motion) -> "MotionState":
+        """Carry the pose and its covariances along a motion."""
+        before = np.array([self.cov_prior, self.cov_independent, self.cov_odometry])
+        cov_prior, cov_independent, cov_odometry = se2.compound_covariance(
+            before, motion.increment, motion.cov
+        )
+        return replace(
+            self,
+            T_local_base=se2.compose(self.T_local_base, motion.increment),
+            cov_prior=cov_prior,
+            cov_independent=cov_independent,
+            cov_odometry=cov_odometry,
+        )
+
+
+class Propagation:
+    """The pose in the local frame from scan to scan: predicted here, corrected by whoever matches.
+
+    Parameters
+    ----------
+    model : MotionModel
+    cov : (3, 3) array
+        Covariance of the first pose, which is the local frame's origin.
+
+    Attributes
+    ----------
+    state : MotionState
+        As best known now.
+    predicted : MotionState
+        As predicted for the latest scan.
+    T_local_before : (3,) array
+        The pose at the scan before.
+    path_m : float
+        Length of the path so far [m].
+    """
+
+    def __init__(self, model: MotionModel, cov: FloatArray) -> None:
+        self.model = model
+        self.state = MotionState(
+            T_local_base=se2.IDENTITY,
+            cov_prior=cov,
+            cov_independent=cov,
+            cov_correlated=np.zeros((3, 3)),
+            cov_odometry=np.zeros((3, 3)),
+        )
+        self.predicted = self.state
+        self.T_local_before: FloatArray = se2.IDENTITY
+        self.path_m = 0.0
+
+    @property
+    def T_odom_base(self) -> FloatArray:
+        """(3,) dead-reckoned pose at the latest scan."""
+        return self.model.T_odom_base
+
+    def predict(self, scan: Scan) -> None:
+        """Move on to the next scan."""
+        self.T_local_before = self.state.T_local_base
+        motion = self.model.advance(scan)
+        if motion is not None:
+            self.state = self.state.moved(motion)
+            self.path_m += math.hypot(motion.increment[0], motion.increment[1])
+        self.predicted = self.state
+
+    def restart(self) -> MotionState:
+        """Go back to the prediction, as before another match of the same scan.
+
+        What the matches share is that of the latest one that succeeded, so it stays.
+        """
+        self.state = replace(self.predicted, cov_correlated=self.state.cov_correlated)
+        return self.state
+
+    def start_keyframe(self) -> None:
+        """Begin to gather the odometry's errors anew."""
+        self.state = replace(self.state, cov_odometry=np.zeros((3, 3)))
+
+    def lose_track(self, cov: FloatArray, distance_m: float) -> None:
+        """Take the motion since the last keyframe for unknown, up to a covariance (3, 3) and a distance."""
+        cov_odometry = self.state.cov_odometry + cov
+        self.state = replace(
+            self.state,
+            cov_prior=cov_odometry,
+            cov_independent=cov_odometry,
+            cov_correlated=np.zeros((3, 3)),
+            cov_odometry=cov_odometry,
+        )
+        self.path_m += distance_m
+
+    def commit(self) -> None:
+        """Tell the motion model where the base was found at this scan."""
+        self.model.correct(self.state.T_local_base)
