@@ -1,4 +1,4 @@
-"""The command that learns settings from a log: `calibrate`."""
+"""The command that estimates settings from a log: `calibrate`."""
 
 import itertools
 from dataclasses import replace
@@ -18,7 +18,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
+from slammot_graph.cli.files import LaserPose, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def calibrate_command(
     from slammot_graph.core.config import to_toml
     from slammot_graph.logs import open_log
     from slammot_graph.odometry.self_calibration import calibrate
+    from slammot_graph.run_folder.atomic import atomic_path
 
     check_max_scans(max_scans)
     config, default = _settings(method)
@@ -79,13 +80,13 @@ def calibrate_command(
     out = stdout()
     out.print(_table(log, default, calibration))
     out.print(
-        f"normalised squared residuals, 1 if honest: {number(calibration.spread_before, 2)} before,"
+        f"normalised squared residuals, 1 if consistent: {number(calibration.spread_before, 2)} before,"
         f" {number(calibration.spread, 2)} after"
     )
     if output is not None:
         text = f"# slammot-graph run LOG --output DIR --method {method} --config FILE.toml\n"
         text += f"# odometry_noise by slammot-graph calibrate {log.name!a}\n"
-        with whole_file(output) as path:
+        with atomic_path(output) as path:
             path.write_text(text + to_toml(replace(config, odometry_noise=calibration.noise)), "utf-8")
         out.print(f"settings: {output}", soft_wrap=True)
     return EXIT_OK
@@ -105,7 +106,7 @@ def _settings(method: str) -> "tuple[PipelineConfig, OdometryNoise]":
 
 
 def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int | None) -> "Windows":
-    """Run the method, without loop closure and hindsight, and cut the log into windows."""
+    """Run the method, without loop closure and backward pass, and cut the log into windows."""
     import numpy as np
 
     from slammot_graph.odometry.self_calibration import cut_windows
@@ -144,7 +145,7 @@ def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int 
 
 
 def _warn_of_motion(log: Path, calibration: "Calibration") -> None:
-    """Say in one line what the log could not tell."""
+    """Name in one line the parameters that the log does not determine."""
     if calibration.kept:
         stderr().print(
             f"warning: {log}: too little motion, {calibration.distance_m:.1f} m driven and"

@@ -1,4 +1,4 @@
-"""Messages of a ROS 1 or ROS 2 bag, with every failure of the reader told as an `InputError`."""
+"""Messages of a ROS 1 or ROS 2 bag, with every failure of the reader raised as an `InputError`."""
 
 import math
 from collections.abc import Generator, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Odometry of a bag, from a topic or from tf, and the question whose clock it is stamped by."""
+"""Odometry of a bag, from a topic or from tf, and whether it shares a clock with the scans."""
 
 import math
 from collections.abc import Sequence

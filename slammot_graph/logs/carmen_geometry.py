@@ -1,4 +1,4 @@
-"""What must be known of a CARMEN log before its first scan: counts, the laser's limit and its mounting."""
+"""First pass over a CARMEN log: counts, the laser's maximum range and its mounting."""
 
 import math
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""The fields of CARMEN's laser lines, found but not yet turned into numbers."""
+"""The fields of CARMEN's laser lines, as tokens."""
 
 from typing import NamedTuple
 

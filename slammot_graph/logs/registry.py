@@ -1,4 +1,4 @@
-"""The one door to all formats."""
+"""`open_log`: the format of a log by its first bytes."""
 
 from pathlib import Path
 

@@ -13,7 +13,7 @@ from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_
 from slammot_graph.logs.bag_mounting import find_mounting
 from slammot_graph.logs.bag_odometry import base_frames, odometry_track, read_odometry, share_a_clock
 from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic, tf_topic
-from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.odometry import MAX_HOLD_S
 from slammot_graph.logs.source import SkippedScan
@@ -25,7 +25,7 @@ N_SCANS_SAMPLED = 20
 """Scans looked at on opening, to learn the laser's frame and clock."""
 
 
-class RosbagLog(CheckedLog):
+class RosbagLog(RecordedLog):
     """A bag, read in two passes: a light one for odometry and tf on opening, one for the scans each time.
 
     Odometry is interpolated to the scan's stamp. Stamps are the headers' (a scan is recorded only after its

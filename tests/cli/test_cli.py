@@ -15,14 +15,15 @@ from slammot_graph.cli import console, running
 from slammot_graph.cli.files import open_log_of_run
 from slammot_graph.core import _numba, se2
 from slammot_graph.core.results import StepResult
-from slammot_graph.evaluation import absolute_error, read_trajectory
+from slammot_graph.evaluation import absolute_error
 from slammot_graph.logs import write_npz_log
-from slammot_graph.run_folder import writer as results
+from slammot_graph.run_folder import directory
 from slammot_graph.run_folder.reader import read_run_folder
+from slammot_graph.run_folder.tum import read_trajectory
 from slammot_graph.simulation import SCENARIOS
 
 N_SCANS = 12
-RUN_FILES = set(results.RUN_FILES) - {"run.rrd"}
+RUN_FILES = set(directory.RUN_FILES) - {"run.rrd"}
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_run_writes_a_run_folder(capsys: pytest.CaptureFixture[str], log: Path, 
     assert rows["laser pose"] == "0 0 0 (x y yaw [m, m, rad]; the key laser_pose)"
     assert (rows["duration"], rows["path length"], rows["tracks"]) == ("2.2 s", "1.1 m", "0")
     assert rows["files"] == str(output)
-    names = ", ".join(name for name in results.RUN_FILES if name not in ("graph.g2o", "run.rrd"))
+    names = ", ".join(name for name in directory.RUN_FILES if name not in ("graph.g2o", "run.rrd"))
     assert names in out
     assert {"skipped", "nodes", "loop closures", "ms per scan"} <= rows.keys()
     assert "box [1].npz" in out  # brackets in a name are no markup
