@@ -27,7 +27,7 @@ def nearest_stamps(stamps: FloatArray, wanted: FloatArray, tolerance_s: float) -
         return np.full(len(wanted), -1, dtype=np.int64)
     order = np.argsort(stamps, kind="stable")
     ordered = stamps[order]
-    right = np.searchsorted(ordered, wanted).clip(0, len(stamps) - 1)
+    right = np.searchsorted(ordered, np.minimum(wanted, ordered[-1])).clip(0, len(stamps) - 1)
     left_stamps = ordered[(right - 1).clip(0)]
     left = np.searchsorted(ordered, left_stamps)
     nearest = np.where(np.abs(ordered[right] - wanted) <= np.abs(left_stamps - wanted), right, left)

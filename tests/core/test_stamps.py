@@ -15,8 +15,8 @@ def test_the_nearest_stamp_is_found(rng: np.random.Generator) -> None:
 
 def test_of_equal_stamps_the_first_is_found() -> None:
     stamps = np.array([2.0, 1.0, 2.0, 1.0])
-    wanted = np.array([1.0, 2.0, 1.0 - 1e-6, 1.0 + 1e-6])
-    assert nearest_stamps(stamps, wanted, 1e-5).tolist() == [1, 0, 1, 1]
+    wanted = np.array([1.0, 2.0, 1.0 - 1e-6, 1.0 + 1e-6, 2.0 + 1e-6])
+    assert nearest_stamps(stamps, wanted, 1e-5).tolist() == [1, 0, 1, 1, 0]
 
 
 def test_runs_are_of_one_log_over_the_length_of_the_shorter_one() -> None:
