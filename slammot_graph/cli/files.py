@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -47,9 +47,12 @@ def open_log_of_run(
     if not isinstance(source, dict) or folder.log is None or folder.log.suffix != path.suffix:
         source = {}  # of another program, or a log of another kind in its place
     if source.get("laser_pose_from") == "given":
+        given: Any = source.get("laser_pose")
         try:
-            x, y, yaw = map(float, source["laser_pose"].split())
-        except (KeyError, ValueError, AttributeError):
+            x, y, yaw = map(
+                float, given.split() if isinstance(given, str) else given
+            )  # version 0.1 wrote text
+        except (TypeError, ValueError):
             raise InputError(
                 f"{folder.path / 'summary.json'}: its laser_pose is not three numbers; run it again"
             ) from None

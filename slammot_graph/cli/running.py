@@ -297,7 +297,8 @@ def _source_rows(source: "SourceInfo") -> dict[str, str]:
     """Rows of the table that say what of the log was used."""
     rows = {key.replace("_", " "): str(source[key]) for key in ("scan_topic", "odom_topic") if key in source}
     if "laser_pose" in source:
-        rows["laser pose"] = f"{source['laser_pose']} (x y yaw [m, m, rad]; {source['laser_pose_from']})"
+        pose = " ".join(f"{value:.6g}" for value in source["laser_pose"])
+        rows["laser pose"] = f"{pose} (x y yaw [m, m, rad]; {source['laser_pose_from']})"
     return rows
 
 

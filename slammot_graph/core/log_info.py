@@ -13,8 +13,8 @@ class SourceInfo(TypedDict, total=False):
     ----------
     scan_topic, odom_topic : str
         Of a bag.
-    laser_pose : str
-        Laser in base, "x y theta" [m, m, rad].
+    laser_pose : (x, y, theta)
+        Laser in base [m, m, rad].
     laser_pose_from : str
         Where that comes from; "given" where the user gave it.
     poses : str
@@ -23,7 +23,7 @@ class SourceInfo(TypedDict, total=False):
 
     scan_topic: str
     odom_topic: str
-    laser_pose: str
+    laser_pose: tuple[float, float, float]
     laser_pose_from: str
     poses: str
 

@@ -39,7 +39,7 @@ class Mounting:
 
 def laser_pose_source(T_base_laser: tuple[float, float, float], told_by: str) -> SourceInfo:
     """Give the pose of a laser (x, y, theta) [m, m, rad] in the base and its origin, for `source_of`."""
-    return {"laser_pose": " ".join(f"{value:.6g}" for value in T_base_laser), "laser_pose_from": told_by}
+    return {"laser_pose": T_base_laser, "laser_pose_from": told_by}
 
 
 def check_laser_pose(laser_pose: tuple[float, float, float] | None) -> None:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ def test_run_writes_a_run_folder(capsys: pytest.CaptureFixture[str], log: Path, 
     summary = json.loads((output / "summary.json").read_text())
     assert (summary["method"], summary["n_scans"]) == ("odometry", N_SCANS)
     assert summary["log"] == str(log)
-    assert summary["source"] == {"laser_pose": "0 0 0", "laser_pose_from": "the key laser_pose"}
+    assert summary["source"] == {"laser_pose": [0.0, 0.0, 0.0], "laser_pose_from": "the key laser_pose"}
     assert summary["warnings"] == []
     rows = table_rows(out)
     assert rows["scans"] == str(N_SCANS)
@@ -146,13 +147,17 @@ def test_the_laser_may_be_placed_by_hand(
     capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path
 ) -> None:
     words = ("run", log, "--rerun", "off", "--method", "icp", "--output")
-    code, out, _ = run(capsys, *words, tmp_path / "out", "--laser-pose", 0.25, -0.5, 3.14)
+    laser_pose = (0.25, -0.123456789012, 3.1400000001)
+    code, out, _ = run(capsys, *words, tmp_path / "out", "--laser-pose", *laser_pose)
     assert code == 0
-    assert table_rows(out)["laser pose"] == "0.25 -0.5 3.14 (x y yaw [m, m, rad]; given)"
+    assert table_rows(out)["laser pose"] == "0.25 -0.123457 3.14 (x y yaw [m, m, rad]; given)"
     folder = read_run_folder(tmp_path / "out")
-    assert folder.summary["source"] == {"laser_pose": "0.25 -0.5 3.14", "laser_pose_from": "given"}
+    assert folder.summary["source"] == {"laser_pose": list(laser_pose), "laser_pose_from": "given"}
     scan = next(iter(open_log_of_run(folder, log)))  # as `animate` and `compare` do
-    assert scan.laser.T_base_laser == (0.25, -0.5, 3.14)
+    assert scan.laser.T_base_laser == laser_pose  # every digit
+    source = {"laser_pose": "0.25 -0.5 3.14", "laser_pose_from": "given"}  # as version 0.1 wrote it
+    older = replace(folder, summary={**folder.summary, "source": source})
+    assert next(iter(open_log_of_run(older, log))).laser.T_base_laser == (0.25, -0.5, 3.14)
     code, out, err = run(capsys, *words, tmp_path / "nan", "--laser-pose", "nan", 0, 0)
     assert (code, out) == (2, "")
     assert_one_line(err, "laser pose", "nan 0.0 0.0")
