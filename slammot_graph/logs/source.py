@@ -53,12 +53,13 @@ class LaserLog(Source, Protocol):
     Attributes
     ----------
     path : Path
-    n_scans : int
-        Scan records in the file, usable or not; known without a full decode.
     """
 
     path: Path
-    n_scans: int
+
+    @property
+    def n_scans(self) -> int:
+        """Scan records in the file, usable or not; known without a full decode."""
 
 
 def source_of(log: Source) -> SourceInfo:
