@@ -45,7 +45,7 @@ class RelativeError:
 
 
 def alignment(T_map_base: FloatArray, T_world_base: FloatArray) -> FloatArray:
-    """Find the rigid transform that lays one trajectory best onto another (Umeyama 1991, no scale, 2D).
+    """Find the rigid transform that aligns one trajectory with another (Umeyama 1991, no scale, 2D).
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def alignment(T_map_base: FloatArray, T_world_base: FloatArray) -> FloatArray:
 
     Returns
     -------
-    (3,) array ``T_world_map``; NaN for n = 0, and without rotation where the positions do not tell one.
+    (3,) array ``T_world_map``; NaN for n = 0, and without rotation where the positions do not determine one.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def absolute_error(T_map_base: FloatArray, T_world_base: FloatArray, *, align: b
     T_world_base : (n, 3) array
         True poses.
     align : bool
-        Lay the estimate onto the truth first (see `alignment`).
+        Align the estimate with the truth first (see `alignment`).
 
     Raises
     ------

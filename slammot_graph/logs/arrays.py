@@ -143,7 +143,7 @@ def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
     except InputError:
         raise
     except Exception as err:  # the decoders of a damaged file may raise anything
-        raise InputError(f"{path}: cannot be read as .npz ({one_line(err)}); write it anew") from None
+        raise InputError(f"{path}: cannot be read as .npz ({one_line(err)}); write it again") from None
 
 
 def _member(path: Path, file: "np.lib.npyio.NpzFile", key: str) -> npt.NDArray[Any]:

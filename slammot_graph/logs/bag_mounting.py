@@ -28,7 +28,7 @@ def find_mounting(
     laser_frame: str,
     laser_pose: tuple[float, float, float] | None = None,
 ) -> FoundMounting:
-    """The laser in the base by tf; the identity, and a warning, where tf does not tell.
+    """The laser in the base by tf; the identity, and a warning, where tf does not connect them.
 
     A `laser_pose` (x, y, theta) [m, m, rad] takes the place of the one in tf, which then says only whether the
     laser is tilted or upside down.

@@ -75,7 +75,7 @@ def _odometry_from_tf(bag: Bag) -> list[OdometrySample]:
 
 
 def base_frames(samples: Sequence[OdometrySample]) -> list[str]:
-    """Names that the base frame may have, the one that the odometry tells first."""
+    """Names that the base frame may have, that of the odometry first."""
     named = samples[0].base_frame
     return [named, *(x for x in BASE_FRAMES if x != named)] if named else list(BASE_FRAMES)
 

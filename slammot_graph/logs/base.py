@@ -35,7 +35,7 @@ Records: TypeAlias = Generator[RawScan | SkippedScan, None, None]
 
 
 class RecordedLog(ABC):
-    """A `LaserLog` whose format only has to say how its records are decoded.
+    """A `LaserLog` of a format that only has to decode its records.
 
     Parameters
     ----------

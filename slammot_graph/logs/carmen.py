@@ -22,8 +22,8 @@ class CarmenLog(RecordedLog):
 
     Odometry, stamp and mounting come from the laser's own lines: odometry pose, ipc_timestamp, and laser pose
     seen from the odometry pose. The mounting is one for the whole file: the median over its lines, rounded to
-    0.1 mm and 0.1 mrad. FLASER does not tell the laser's limit: it is the largest reading of the file, which
-    is what the scanner reports where nothing returns.
+    0.1 mm and 0.1 mrad. FLASER does not contain the laser's maximum range: it is taken as the largest reading of
+    the file, which is what the scanner reports where nothing returns.
 
     Parameters
     ----------

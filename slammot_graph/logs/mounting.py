@@ -22,7 +22,7 @@ class Mounting:
     ----------
     T_base_laser : (x, y, theta)
     is_upside_down : bool
-        The laser's z axis points down: its beams turn the other way.
+        The laser's z axis points down: its beams turn clockwise, seen from above.
     tilt : float
         Angle between the planes of laser and robot [rad].
     """

@@ -47,7 +47,7 @@ class Source(Protocol):
 class LaserLog(Source, Protocol):
     """A recorded source: re-iterable, in the file's order.
 
-    Each iteration starts anew and reads from the file as it goes; a bad scan is left out. `skipped` and
+    Each iteration starts at the beginning and streams from the file; a bad scan is left out. `skipped` and
     `warnings` belong to the iteration that was started last, and are reset by it.
 
     Attributes
@@ -63,7 +63,7 @@ class LaserLog(Source, Protocol):
 
 
 def source_of(log: Source) -> SourceInfo:
-    """Tell what of its file a log uses; empty where the log does not tell."""
+    """Give what of its file a log uses; empty where the log does not say."""
     return cast(SourceInfo, dict(getattr(log, "source", {})))
 
 

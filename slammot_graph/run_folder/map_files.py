@@ -24,7 +24,7 @@ EMPTY_RESOLUTION_M = 0.05
 
 
 def write_map(image: Path, description: Path, grid: GridMap) -> None:
-    """Write the three states of a map's cells, and the file that says where the picture lies.
+    """Write the three states of a map's cells, and the file with the picture's origin and scale.
 
     Raises
     ------

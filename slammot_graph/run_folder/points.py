@@ -38,7 +38,7 @@ def read_points(path: str | Path) -> PointLabels:
     Raises
     ------
     InputError
-        The file is missing or is not what a run writes; the text says what is wrong with it.
+        The file is missing or is not what a run writes; the text names the fault.
     """
     path = Path(path)
     try:

@@ -116,7 +116,7 @@ def _versions() -> dict[str, str]:
 
 
 def _peak_memory_mb() -> float | None:
-    """Peak resident memory of this process [MB of 2^20 bytes], None where the system does not tell."""
+    """Peak resident memory of this process [MB of 2^20 bytes], None where the system does not report it."""
     with suppress(OSError, ValueError):
         # not getrusage: its peak survives exec, and is then that of the program that started this one
         for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():

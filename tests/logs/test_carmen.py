@@ -126,7 +126,7 @@ BAD_LINES = {
     "malformed reading": (flaser(["1.2x", *GOOD[1:]], 2.0), "could not convert"),
     "malformed count": ("FLASER many 1 2 3", "invalid literal"),
     "negative count": ("FLASER -3 1 2 3", "a count of -3"),
-    "no tokens": ("FLASER ", "cut short"),
+    "no tokens": ("FLASER ", "truncated"),
     "count against tokens": (flaser(GOOD, 2.0).replace("FLASER 180", "FLASER 181"), "tokens where"),
     "cut short": (flaser(GOOD, 2.0)[:300], "tokens where"),
     "other beam count": (flaser([1.0] * 181, 2.0), "181 beams where the log's first scan has 180"),
