@@ -1,6 +1,6 @@
 """What gives scans: a source, perhaps live, and a recorded log, which can be read again."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast, runtime_checkable
@@ -62,17 +62,17 @@ class LaserLog(Source, Protocol):
         """Scan records in the file, usable or not; known without a full decode."""
 
 
-def source_of(log: Source) -> SourceInfo:
+def source_of(log: Iterable[Scan]) -> SourceInfo:
     """Give what of its file a log uses; empty where the log does not say."""
     return cast(SourceInfo, dict(getattr(log, "source", {})))
 
 
-def describe(log: Source) -> LogInfo:
-    """Describe a source for a result; call it after the iteration, which may add warnings."""
+def describe(log: Iterable[Scan]) -> LogInfo:
+    """Describe a source, or scans alone, for a result; call it after the iteration, which may add warnings."""
     recorded = log if isinstance(log, LaserLog) else None
     return LogInfo(
         path=None if recorded is None else recorded.path,
         source=source_of(log),
-        warnings=tuple(log.warnings),
+        warnings=tuple(getattr(log, "warnings", ())),
         n_scans=None if recorded is None else recorded.n_scans,
     )

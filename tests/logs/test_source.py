@@ -46,3 +46,4 @@ def test_a_live_source_has_neither_path_nor_length() -> None:
     assert len(list(live)) == 3
     assert not list(live)
     assert describe(live) == LogInfo()
+    assert describe(drive(3).scans) == LogInfo()
