@@ -24,8 +24,7 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slammot_graph import Run, open_log
-from slammot_graph.run_folder.writer import read_points, read_trajectory, write_run_folder
+from slammot_graph import Run, load_run, open_log
 from slammot_graph.simulation import simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder
@@ -68,12 +67,12 @@ plt.show()
 # ## The run folder
 #
 # On the command line, `slammot-graph run LOG --output DIR` does all of this and leaves its files in `DIR`. From Python
-# the folder is written by `write_run_folder`. The recording for the rerun viewer, `run.rrd`, is made by the command
+# the folder is written by `result.save`. The recording for the rerun viewer, `run.rrd`, is made by the command
 # only.
 
 # %%
 output = folder / "run"
-write_run_folder(output, result)
+result.save(output)
 for path in sorted(output.iterdir()):
     print(f"{path.name:18} {path.stat().st_size / 1024:7.0f} kB")
 
@@ -90,12 +89,14 @@ plt.show()
 # %% [markdown]
 # ## Trajectory and map
 #
-# The trajectory is a text file in the TUM format; `read_trajectory` gives the stamps and x, y, heading of the robot in
-# the map. The map is a picture in the format of ROS map_server, whose first row is the top: black is occupied, white
-# free, grey unknown. `map.yaml` tells the size of a cell and where the lower left corner lies.
+# `load_run` reads the folder back. The trajectory, `trajectory.tum`, is a text file in the TUM format: the stamps and
+# x, y, heading of the robot in the map. The map is a picture in the format of ROS map_server, whose first row is the
+# top: black is occupied, white free, grey unknown. `map.yaml` tells the size of a cell and where the lower left corner
+# lies.
 
 # %%
-stamps, T_map_base = read_trajectory(output / "trajectory.tum")
+saved = load_run(output)
+stamps, T_map_base = saved.stamps, saved.T_map_base
 picture = plt.imread(output / "map.pgm")
 yaml = dict(line.split(": ", 1) for line in (output / "map.yaml").read_text().splitlines())
 resolution_m = float(yaml["resolution"])
@@ -114,20 +115,21 @@ plt.show()
 # ## Moving points and tracks
 #
 # `points.npz` has a label for each beam of each scan. `is_moving_online` is what was decided when the scan came;
-# `is_moving` is the final label, which looks back from the end of the run and usually finds a
-# few more. With the trajectory, the ranges of the log give the points again.
+# `is_moving` is the final label, which knows the whole run and usually finds a few more. With the
+# trajectory, the ranges of the log give the points again.
 #
 # `tracks.csv` has a line for each moving object at each scan: where it was, how fast, and the covariance of the place.
 
 # %%
-labels = read_points(output / "points.npz")
+labels = saved.points
+assert labels is not None  # a folder of another program may lack them
 moving = np.vstack(
     [
         scan.points(T)[is_moving]
         for scan, T, is_moving in zip(log, T_map_base, labels.is_moving & labels.is_valid, strict=True)
     ]
 )
-tracks = np.genfromtxt(output / "tracks.csv", delimiter=",", names=True)
+track_ids = saved.tracks[:, 1]
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 4), layout="constrained", sharex=True, sharey=True)
 for panel in axes:
@@ -135,10 +137,9 @@ for panel in axes:
     panel.set(xlabel="x [m]", ylabel="y [m]")
 axes[0].plot(*moving.T, ",", color="tab:red")
 axes[0].set(title="moving points")
-for track_id in np.unique(tracks["id"]):
-    track = tracks[tracks["id"] == track_id]
-    axes[1].plot(track["x"], track["y"], linewidth=1)
-axes[1].set(title=f"{len(np.unique(tracks['id']))} tracks")
+for track_id in np.unique(track_ids):
+    axes[1].plot(*saved.tracks[track_ids == track_id, 2:4].T, linewidth=1)
+axes[1].set(title=f"{len(np.unique(track_ids))} tracks")
 plt.show()
 
 # %% [markdown]
@@ -162,8 +163,8 @@ plt.show()
 # neighbouring scans share (see the README's limits).
 
 # %%
-cov_map = np.load(output / "covariances.npz")["cov_map"]
-std = np.sqrt(np.diagonal(cov_map, axis1=1, axis2=2))
+assert saved.cov_map is not None
+std = np.sqrt(np.diagonal(saved.cov_map, axis1=1, axis2=2))
 figure, axes = plt.subplots(1, 2, figsize=(10, 3), layout="constrained")
 axes[0].plot(stamps, 1000 * std[:, :2], label=["forward", "sideways"])
 axes[0].set(xlabel="time [s]", ylabel="std of the position [mm]")

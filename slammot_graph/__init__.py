@@ -1,15 +1,26 @@
-"""Simultaneous localization, mapping and moving object tracking with a 2D laser, on a factor graph."""
+"""Simultaneous localization, mapping and moving object tracking with a 2D laser, on a factor graph.
 
+The public names are those of `__all__`, and the packages `evaluation` and `simulation` with theirs. All other
+modules are internal: their names may change with any version.
+
+Log messages go to the logger ``slammot_graph``, which is silent unless the application configures `logging`.
+"""
+
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 
 if TYPE_CHECKING:
+    from slammot_graph.core.results import RunResult, StepResult
+    from slammot_graph.core.saved_run import RunFolder
+    from slammot_graph.core.scan import LaserModel, Scan
     from slammot_graph.logs import open_log
     from slammot_graph.methods import METHODS, get_method
     from slammot_graph.pipeline import Pipeline, PipelineConfig
     from slammot_graph.run import Run
+    from slammot_graph.saving import load_run
 
 __version__ = "0.1.0"
 
@@ -17,29 +28,44 @@ __all__ = [
     "METHODS",
     "ConfigError",
     "InputError",
+    "LaserModel",
     "Pipeline",
     "PipelineConfig",
     "Run",
+    "RunFolder",
+    "RunResult",
+    "Scan",
     "SlammotError",
+    "StepResult",
     "get_method",
+    "load_run",
     "open_log",
 ]
 
+logging.getLogger(__name__).addHandler(logging.NullHandler())
+
 _HOME = {
-    "METHODS": "methods",
-    "Pipeline": "pipeline",
-    "PipelineConfig": "pipeline",
-    "Run": "run",
-    "get_method": "methods",
-    "open_log": "logs",
+    "METHODS": "methods.METHODS",
+    "LaserModel": "core.scan.LaserModel",
+    "Pipeline": "pipeline.Pipeline",
+    "PipelineConfig": "pipeline.PipelineConfig",
+    "Run": "run.Run",
+    "RunFolder": "core.saved_run.RunFolder",
+    "RunResult": "core.results.RunResult",
+    "Scan": "core.scan.Scan",
+    "StepResult": "core.results.StepResult",
+    "get_method": "methods.get_method",
+    "load_run": "saving.load_run",
+    "open_log": "logs.open_log",
 }
-"""Modules that bring in gtsam, numba and scipy: each waits until a name of it is asked for."""
+"""Names whose modules bring in gtsam, numba and scipy: each is imported on first use."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    module, _, attribute = _HOME[name].rpartition(".")
+    value = getattr(import_module(f"{__name__}.{module}"), attribute)
     globals()[name] = value
     return value
 

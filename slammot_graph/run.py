@@ -15,7 +15,7 @@ from slammot_graph.core.events import Event
 from slammot_graph.core.results import RunResult, StepResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
-from slammot_graph.logs import LaserLog
+from slammot_graph.logs import LaserLog, describe
 from slammot_graph.methods import Config, get_method
 from slammot_graph.pipeline import Pipeline
 
@@ -161,6 +161,7 @@ class Run:
             n_skipped=len(self.log.skipped),
             events=tuple(kept.events),
             is_complete=self.is_complete,
+            log=describe(self.log),
         )
 
 

@@ -43,6 +43,34 @@ def test_what_is_asked_for_is_imported() -> None:
         _ = slammot_graph.nothing_of_the_kind
 
 
+def test_the_public_names() -> None:
+    assert sorted(slammot_graph.__all__) == [
+        "ConfigError",
+        "InputError",
+        "LaserModel",
+        "METHODS",
+        "Pipeline",
+        "PipelineConfig",
+        "Run",
+        "RunFolder",
+        "RunResult",
+        "Scan",
+        "SlammotError",
+        "StepResult",
+        "get_method",
+        "load_run",
+        "open_log",
+    ]
+
+
+def test_the_package_does_not_log_by_itself(tmp_path: Path) -> None:
+    code = "import logging, slammot_graph; logging.getLogger('slammot_graph.run').error('lost')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 USE_A_KERNEL = """
 import numpy as np
 from slammot_graph.core import se2

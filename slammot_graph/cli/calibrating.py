@@ -1,6 +1,6 @@
-"""The command that learns settings from a log: `calibrate`."""
+"""The command that estimates settings from a log: `calibrate`."""
 
-import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,14 +18,16 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
+from slammot_graph.cli.files import LaserPose, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
+    from slammot_graph.core.results import StepResult
     from slammot_graph.logs import LaserLog
     from slammot_graph.odometry.noise import OdometryNoise
     from slammot_graph.odometry.self_calibration import Calibration, Windows
     from slammot_graph.pipeline import PipelineConfig
+    from slammot_graph.run import Run
 
 
 def calibrate_command(
@@ -61,6 +63,7 @@ def calibrate_command(
     from slammot_graph.core.config import to_toml
     from slammot_graph.logs import open_log
     from slammot_graph.odometry.self_calibration import calibrate
+    from slammot_graph.run_folder.atomic import atomic_path
 
     check_max_scans(max_scans)
     config, default = _settings(method)
@@ -79,13 +82,13 @@ def calibrate_command(
     out = stdout()
     out.print(_table(log, default, calibration))
     out.print(
-        f"normalised squared residuals, 1 if honest: {number(calibration.spread_before, 2)} before,"
+        f"normalised squared residuals, 1 if consistent: {number(calibration.spread_before, 2)} before,"
         f" {number(calibration.spread, 2)} after"
     )
     if output is not None:
         text = f"# slammot-graph run LOG --output DIR --method {method} --config FILE.toml\n"
         text += f"# odometry_noise by slammot-graph calibrate {log.name!a}\n"
-        with whole_file(output) as path:
+        with atomic_path(output) as path:
             path.write_text(text + to_toml(replace(config, odometry_noise=calibration.noise)), "utf-8")
         out.print(f"settings: {output}", soft_wrap=True)
     return EXIT_OK
@@ -105,46 +108,24 @@ def _settings(method: str) -> "tuple[PipelineConfig, OdometryNoise]":
 
 
 def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int | None) -> "Windows":
-    """Run the method, without loop closure and hindsight, and cut the log into windows."""
-    import numpy as np
+    """Run the method, without loop closure and backward pass, and cut the log into windows."""
+    from slammot_graph.odometry.calibration_input import windows_of_steps
+    from slammot_graph.run import Run
 
-    from slammot_graph.odometry.self_calibration import cut_windows
-    from slammot_graph.pipeline import Pipeline
+    run = Run(log, method, config=replace(config, close_loops=False, hindsight=False), max_scans=max_scans)
+    with scan_progress(log, method, max_scans) as show:
+        return windows_of_steps(_counted(run, show))
 
-    pipeline = Pipeline(replace(config, close_loops=False, hindsight=False))
-    T_odom_base, T_anchor_base, cov_independent, cov_correlated, anchors, is_usable = [], [], [], [], [], []
-    try:
-        with scan_progress(log, method, max_scans) as show:
-            for n_scans, scan in enumerate(itertools.islice(log, max_scans), start=1):
-                step = pipeline.step(scan)
-                match = step.match
-                converged = match if match is not None and match.status == "converged" else None
-                T_odom_base.append(scan.T_odom_base)
-                anchors.append(step.anchor_scan)
-                is_usable.append(converged is not None)
-                T_anchor_base.append(step.T_anchor_base if converged is None else converged.T_ref_base)
-                cov_correlated.append(np.zeros((3, 3)) if converged is None else converged.cov_correlated)
-                cov_independent.append(
-                    np.eye(3) if converged is None else converged.cov - converged.cov_correlated
-                )
-                show(n_scans)
-    finally:
-        pipeline.close()
-    if not anchors:
-        reasons = "; ".join(f"{skipped.place}: {skipped.reason}" for skipped in log.skipped[:3])
-        raise InputError(f"{log.path}: none of its {log.n_scans} scans is usable ({reasons})")
-    return cut_windows(
-        np.array(T_odom_base),
-        np.array(T_anchor_base),
-        np.array(cov_independent),
-        np.array(cov_correlated),
-        np.array(anchors),
-        np.array(is_usable),
-    )
+
+def _counted(run: "Run", show: Callable[[int], None]) -> "Iterator[StepResult]":
+    """The steps of a run, each of them shown as progress."""
+    for n_scans, step in enumerate(run, start=1):
+        yield step
+        show(n_scans)
 
 
 def _warn_of_motion(log: Path, calibration: "Calibration") -> None:
-    """Say in one line what the log could not tell."""
+    """Name in one line the parameters that the log does not determine."""
     if calibration.kept:
         stderr().print(
             f"warning: {log}: too little motion, {calibration.distance_m:.1f} m driven and"

@@ -1,25 +1,29 @@
-"""Files that commands write: whole or not there, and refused before anything is computed."""
+"""Files that commands read and write; what cannot be written is refused before anything is computed."""
 
-import contextlib
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
+    from slammot_graph.core.saved_run import RunFolder
     from slammot_graph.logs import LaserLog
-    from slammot_graph.run_folder.reader import RunFolder
 
 LaserPose = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y YAW")]
 """Option of the commands that run a log."""
 
 
 def prepare_file(output: Path) -> None:
-    """Find out that a file cannot be written before it is computed."""
+    """Check that a file can be written, before it is computed.
+
+    Raises
+    ------
+    InputError
+        It cannot.
+    """
     if output.exists() and not output.is_file():
         raise InputError(f"{output}: is no plain file; name another --output")
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -27,30 +31,28 @@ def prepare_file(output: Path) -> None:
         raise InputError(f"{output}: cannot be written (Permission denied); name another --output")
 
 
-@contextlib.contextmanager
-def whole_file(output: Path) -> Iterator[Path]:
-    """Give a temporary name that becomes `output` when all went well, and goes away when not."""
-    unfinished = output.with_name(f".{output.name}.tmp")
-    try:
-        yield unfinished
-        unfinished.replace(output)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
 def open_log_of_run(
     folder: "RunFolder", path: Path, *, scan_topic: str | None = None, odom_topic: str | None = None
 ) -> "LaserLog":
-    """Open the log of a run as the run did: with its topics and its laser pose, as its summary tells them."""
+    """Open the log of a run as the run did: with the topics and the laser pose of its summary.
+
+    Raises
+    ------
+    InputError
+        The log cannot be opened, or the summary is damaged.
+    """
     from slammot_graph.logs import open_log
 
     source, laser_pose = folder.summary.get("source"), None
     if not isinstance(source, dict) or folder.log is None or folder.log.suffix != path.suffix:
         source = {}  # of another program, or a log of another kind in its place
     if source.get("laser_pose_from") == "given":
+        given: Any = source.get("laser_pose")
         try:
-            x, y, yaw = map(float, source["laser_pose"].split())
-        except (KeyError, ValueError, AttributeError):
+            x, y, yaw = map(
+                float, given.split() if isinstance(given, str) else given
+            )  # version 0.1 wrote text
+        except (TypeError, ValueError):
             raise InputError(
                 f"{folder.path / 'summary.json'}: its laser_pose is not three numbers; run it again"
             ) from None

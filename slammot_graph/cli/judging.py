@@ -1,4 +1,4 @@
-"""The commands that judge runs: `evaluate` and `compare`."""
+"""The commands that evaluate runs: `evaluate` and `compare`."""
 
 import math
 from collections.abc import Callable
@@ -18,15 +18,13 @@ from slammot_graph.cli.console import (
     stderr,
     stdout,
 )
-from slammot_graph.cli.files import open_log_of_run, prepare_file, whole_file
+from slammot_graph.cli.files import open_log_of_run, prepare_file
 from slammot_graph.cli.running import RerunMode
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
     from slammot_graph.core.types import FloatArray
-    from slammot_graph.evaluation import RelationScores
-    from slammot_graph.run_folder.comparison import ComparedRun, TruePath
-    from slammot_graph.run_folder.reader import RunFolder
+    from slammot_graph.evaluation import ComparedRun, RelationScores, TruePath
 
 
 def evaluate_command(
@@ -51,7 +49,7 @@ def evaluate_command(
         Show also the relations whose ends lie within this time of each other [s].
     """
     if relations is None and truth is None:
-        raise InputError("evaluate needs something true: name --relations FILE or --truth FILE.tum")
+        raise InputError("evaluate needs a ground truth: name --relations FILE or --truth FILE.tum")
     if not max_duration > 0.0:
         raise InputError(f"--max-duration must be a positive time in seconds, not {max_duration:g}")
     tables = []
@@ -65,7 +63,8 @@ def evaluate_command(
 
 
 def _relation_table(directory: Path, relations: Path, max_duration: float) -> Table:
-    from slammot_graph.evaluation import evaluate_relations, read_relations, read_trajectory
+    from slammot_graph.evaluation import evaluate_relations, read_relations
+    from slammot_graph.run_folder.tum import read_trajectory
 
     true = read_relations(relations)
     path = directory / "trajectory.tum"
@@ -87,10 +86,9 @@ def _relation_table(directory: Path, relations: Path, max_duration: float) -> Ta
 
 def _truth_table(directory: Path, truth: Path) -> Table:
     """Absolute trajectory error (ATE) of the poses that have a true one, after alignment."""
-    from slammot_graph.evaluation import absolute_error, read_trajectory
-    from slammot_graph.evaluation.trajectories import MAX_DIFFERENCE_S, associate
+    from slammot_graph.evaluation import MAX_DIFFERENCE_S, evaluate_truth, read_truth
     from slammot_graph.logs import open_log
-    from slammot_graph.run_folder.comparison import read_truth
+    from slammot_graph.run_folder.tum import read_trajectory
 
     if truth.suffix == ".npz":
         true = read_truth(open_log(truth))
@@ -99,13 +97,13 @@ def _truth_table(directory: Path, truth: Path) -> Table:
         true_stamps, T_world_base = read_trajectory(truth)
     path = directory / "trajectory.tum"
     stamps, T_map_base = read_trajectory(path)
-    i, j = associate(stamps, true_stamps)
-    if not len(i):
+    scores = evaluate_truth(stamps, T_map_base, true_stamps, T_world_base)
+    error = scores.error
+    if error.translation_m.n == 0:
         raise InputError(
             f"{truth}: none of its {len(true_stamps)} poses lies within {MAX_DIFFERENCE_S:g} s of one in {path};"
             " is it of the same log, and by the same clock?"
         )
-    error = absolute_error(T_map_base[i], T_world_base[j])
     table = figure_table(
         f"ATE of {directory} against {truth.name}, aligned",
         "error",
@@ -114,7 +112,7 @@ def _truth_table(directory: Path, truth: Path) -> Table:
     )
     for name, stats in (("position [m]", error.translation_m), ("heading [deg]", error.rotation_deg)):
         figures = number(stats.rmse, 4), mean_and_std(stats), number(stats.median, 4), number(stats.max, 4)
-        table.add_row(name, str(stats.n), str(len(stamps) - len(i)), *figures)
+        table.add_row(name, str(stats.n), str(scores.n_unmatched), *figures)
     return table
 
 
@@ -131,12 +129,12 @@ def compare_command(
 ) -> int:
     """Compare several runs over one log, in a table and in one recording.
 
-    Moving points are shown of the runs whose log is still where the run folder says, or is named as --truth.
+    Moving points are shown of the runs whose log is still at its path in the run folder, or is named as --truth.
 
     Parameters
     ----------
     directories
-        Their run folders; the others are laid onto the start of the first.
+        Their run folders; the others are aligned with the start of the first.
     output
         The recording to write, for `slammot-graph view`.
     relations
@@ -151,23 +149,22 @@ def compare_command(
     if output.suffix != ".rrd":
         raise InputError(f"{output}: the name of --output must end in .rrd")
 
-    from slammot_graph.evaluation import read_relations
+    from slammot_graph.evaluation import compare, find_truth, read_relations, read_truth
     from slammot_graph.logs import open_log
-    from slammot_graph.run_folder.comparison import compare, read_truth
     from slammot_graph.run_folder.reader import read_run_folder
 
     folders = [read_run_folder(directory) for directory in directories]
     true_relations = None if relations is None else read_relations(relations)
-    true_way = _truth_of(folders) if truth is None else read_truth(open_log(truth))
-    runs = compare(folders, relations=true_relations, truth=true_way)
+    truth_path = find_truth(folders) if truth is None else read_truth(open_log(truth))
+    runs = compare(folders, relations=true_relations, truth=truth_path)
     for run in runs:
         if relations is not None and run.relations is not None and run.relations.translation_m.n == 0:
             raise _none_matches(relations, run.relations, run.folder.path / "trajectory.tum")
     rows = _compared_rows(runs)
     if rerun != "off":
-        _record(runs, true_way, rows, output=output if rerun == "file" else None)
+        _record(runs, truth_path, rows, output=output if rerun == "file" else None)
     heading, *cells = rows
-    against = "" if true_way is None else f", against the true poses in {true_way.path.name}"
+    against = "" if truth_path is None else f", against the true poses in {truth_path.path.name}"
     table = figure_table(f"{len(runs)} runs, {len(folders[0].stamps)} scans in the first{against}", *heading)
     for row in cells:
         table.add_row(*row)
@@ -177,31 +174,8 @@ def compare_command(
     return EXIT_OK
 
 
-def _truth_of(folders: "list[RunFolder]") -> "TruePath | None":
-    """Look for true poses in the log of the runs."""
-    from slammot_graph.logs import open_log, source_of
-    from slammot_graph.run_folder.comparison import read_truth
-    from slammot_graph.run_folder.reader import have_same_times
-
-    paths = {folder.log for folder in folders if folder.log is not None}
-    path = paths.pop() if len(paths) == 1 else None
-    if path is None or path.suffix != ".npz":
-        return None
-    try:
-        log = open_log(path)
-        truth = read_truth(log)
-    except InputError:  # it is gone, or knows no poses
-        return None
-    is_exact = source_of(log).get("poses") != "estimates"  # of another run, as in an injected log
-    fits = (
-        len(folder.stamps) <= len(truth.stamps) and have_same_times(folder.stamps, truth.stamps)
-        for folder in folders
-    )
-    return truth if is_exact and all(fits) else None
-
-
 def _compared_rows(runs: "list[ComparedRun]") -> list[list[str]]:
-    """Headings, and what is known of each run."""
+    """Headings, and the figures of each run."""
     columns: dict[str, Callable[[ComparedRun], str]] = {
         "run": lambda run: run.name,
         "scans": lambda run: str(len(run.folder.stamps)),
@@ -234,7 +208,8 @@ def _record(
     runs: "list[ComparedRun]", truth: "TruePath | None", rows: list[list[str]], *, output: Path | None
 ) -> None:
     """Write a comparison into a file, or show it in a viewer."""
-    from slammot_graph.run_folder.comparison import true_path
+    from slammot_graph.evaluation import true_path
+    from slammot_graph.run_folder.atomic import atomic_path
     from slammot_graph.viz.rerun.comparison import record_comparison
 
     heading, *cells = rows
@@ -246,13 +221,13 @@ def _record(
         record_comparison(runs, T_ref_base_true=T_ref_base_true, moving=moving, summary=summary, spawn=True)
         return
     prepare_file(output)
-    with whole_file(output) as path:
+    with atomic_path(output) as path:
         record_comparison(runs, T_ref_base_true=T_ref_base_true, moving=moving, summary=summary, path=path)
 
 
 def _moving_points(runs: "list[ComparedRun]", truth: "TruePath | None") -> "dict[str, list[FloatArray]]":
     """Find the moving points of the runs whose log can still be read; a run folder holds only their labels."""
-    from slammot_graph.run_folder.comparison import moving_points
+    from slammot_graph.core.saved_run import moving_points
 
     found = {}
     for run in runs:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
-from slammot_graph.cli.files import LaserPose, prepare_file, whole_file
+from slammot_graph.cli.files import LaserPose, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def inject_command(
         raise InputError(f"{output}: the name of --output must end in .npz")
 
     from slammot_graph.logs import open_log, write_npz_log
+    from slammot_graph.run_folder.atomic import atomic_path
     from slammot_graph.simulation import inject
 
     opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
@@ -101,7 +102,7 @@ def inject_command(
         else _read_reference(reference, opened, max_scans)
     )
     made = inject(opened, T_map_base, n_people=people, seed=seed, max_scans=max_scans)
-    with whole_file(output) as path:
+    with atomic_path(output) as path:
         write_npz_log(path, **made.arrays(), poses_are_estimates=True)
     warn(opened)
     n_seen = len(set(made.object_id[made.is_moving].tolist()))
@@ -118,11 +119,12 @@ def write_simulation(
     scenario: str, output: Path, *, seed: int, people: int | None, noise_scale: float
 ) -> None:
     """Simulate a log, write it and say so."""
+    from slammot_graph.run_folder.atomic import atomic_path
     from slammot_graph.simulation import simulate
 
     prepare_file(output)
     simulated = simulate(scenario, seed=seed, n_people=people, noise_scale=noise_scale)
-    with whole_file(output) as path:
+    with atomic_path(output) as path:
         simulated.write(path)
     stderr().print(f"{scenario} with seed {seed} is in {output}", soft_wrap=True)
 
@@ -142,8 +144,8 @@ def _read_reference(directory: Path, log: "LaserLog", max_scans: int | None) -> 
     """The trajectory of a run folder, which must be one of this log; `inject` looks at its length."""
     import numpy as np
 
-    from slammot_graph.evaluation import read_trajectory
-    from slammot_graph.run_folder.reader import have_same_times
+    from slammot_graph.core.stamps import have_same_times
+    from slammot_graph.run_folder.tum import read_trajectory
 
     stamps, T_map_base = read_trajectory(directory / "trajectory.tum")
     of_log = np.array([scan.stamp for scan in itertools.islice(log, max_scans)])

@@ -31,6 +31,7 @@ from slammot_graph.cli.files import LaserPose
 from slammot_graph.cli.logs import write_simulation
 
 if TYPE_CHECKING:
+    from slammot_graph.core.log_info import SourceInfo
     from slammot_graph.core.results import RunResult, StepResult
     from slammot_graph.logs import LaserLog
     from slammot_graph.run import Run
@@ -156,7 +157,8 @@ class _Outcome:
 
 def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> _Outcome:
     """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
-    from slammot_graph.run_folder.writer import prepare_output, write_run_folder
+    from slammot_graph.run_folder.directory import prepare_output
+    from slammot_graph.saving import write_run
 
     prepare_output(output, overwrite=overwrite)
     _announce_compilation()
@@ -182,7 +184,7 @@ def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> 
             if isinstance(steps, Generator):
                 steps.close()
         result = run.result()
-        write_run_folder(output, result, log=run.log)
+        write_run(result, output)
         run_log.finish(result)
     warn(run.log)
     if failure is not None or is_interrupted():
@@ -263,9 +265,9 @@ def _interrupt_flag() -> Iterator[Callable[[], bool]]:
 def _run_table(outcome: _Outcome) -> Table:
     import numpy as np
 
-    from slammot_graph.evaluation.trajectories import path_length
+    from slammot_graph.evaluation import path_length
     from slammot_graph.logs import source_of
-    from slammot_graph.run_folder.writer import RUN_FILES
+    from slammot_graph.run_folder.directory import RUN_FILES
 
     result, log = outcome.result, outcome.run.log
     table = Table(title=f"{result.method} on {log.path.name}", show_header=False)
@@ -291,11 +293,12 @@ def _run_table(outcome: _Outcome) -> Table:
     return table
 
 
-def _source_rows(source: dict[str, str]) -> dict[str, str]:
+def _source_rows(source: "SourceInfo") -> dict[str, str]:
     """Rows of the table that say what of the log was used."""
-    rows = {key.replace("_", " "): source[key] for key in ("scan_topic", "odom_topic") if key in source}
+    rows = {key.replace("_", " "): str(source[key]) for key in ("scan_topic", "odom_topic") if key in source}
     if "laser_pose" in source:
-        rows["laser pose"] = f"{source['laser_pose']} (x y yaw [m, m, rad]; {source['laser_pose_from']})"
+        pose = " ".join(f"{value:.6g}" for value in source["laser_pose"])
+        rows["laser pose"] = f"{pose} (x y yaw [m, m, rad]; {source['laser_pose_from']})"
     return rows
 
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, command, progress, stderr
-from slammot_graph.cli.files import open_log_of_run, prepare_file, whole_file
+from slammot_graph.cli.files import open_log_of_run, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slammot_graph.run_folder.reader import RunFolder
+    from slammot_graph.core.saved_run import RunFolder
     from slammot_graph.viz.animation import Kind
 
 MAX_FRAMES = {".gif": 100, ".mp4": 1000}
@@ -92,6 +92,7 @@ def animate_command(
     if kind == "gif" and fps > MAX_GIF_FPS:
         raise InputError(f"--fps must be at most {MAX_GIF_FPS:g} for a .gif, not {fps:g}")
 
+    from slammot_graph.run_folder.atomic import atomic_path
     from slammot_graph.run_folder.reader import read_run_folder
     from slammot_graph.viz.animation import find_ffmpeg, write_animation
 
@@ -103,7 +104,7 @@ def animate_command(
     opened = open_log_of_run(folder, path, scan_topic=scan_topic, odom_topic=odom_topic)
     prepare_file(output)
     with (
-        whole_file(output) as unfinished,
+        atomic_path(output) as unfinished,
         progress(f"{output.name} of {directory}", len(rows), "frames") as tell,
     ):
         write_animation(folder, opened, unfinished, kind=kind, rows=rows, fps=fps, tell=tell)

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event, EventKind, describe, make_event
+from slammot_graph.core.log_info import LogInfo
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
@@ -86,6 +88,9 @@ class TrackState:
     position_cov: FloatArray
     beams: IntArray
 
+
+TRACK_COLUMNS = ("stamp", "id", "x", "y", "vx", "vy", "var_x", "cov_xy", "var_y", "scan_index")
+"""Columns of `RunResult.tracks`; ``tracks.csv`` holds all but the last."""
 
 EdgeKind = Literal["odometry", "match", "closure"]
 
@@ -257,7 +262,7 @@ class RunResult:
     moving_points : (m, 2) array [m]
         All points that move, by the final labels, map frame.
     tracks : (k, 10) array
-        Columns stamp, id, x, y, vx, vy, var_x, cov_xy, var_y, scan index; map frame.
+        The columns `TRACK_COLUMNS` [s, -, m, m, m/s, m/s, m^2, m^2, m^2, -], map frame.
     grid : GridMap
     node_scans : (m,) int array
         Scan index of each graph node.
@@ -282,6 +287,8 @@ class RunResult:
         In the order of the scans.
     is_complete : bool
         False when the run was interrupted.
+    log : LogInfo
+        The log that was run.
     """
 
     method: str
@@ -310,3 +317,23 @@ class RunResult:
     n_skipped: int
     events: tuple[Event, ...] = ()
     is_complete: bool = True
+    log: LogInfo = field(default_factory=LogInfo)
+
+    def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
+        """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.
+
+        Parameters
+        ----------
+        directory : str or Path
+            Made with the folders above it.
+        overwrite : bool
+            Replace a run that is already there; other files in the folder stay.
+
+        Raises
+        ------
+        InputError
+            `directory` holds a run and `overwrite` is not set, holds something else, or cannot be written.
+        """
+        from slammot_graph.saving import save_run  # above this module: a method for the convenience of users
+
+        save_run(self, directory, overwrite=overwrite)

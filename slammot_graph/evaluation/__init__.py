@@ -1,8 +1,10 @@
-"""Judging results: plain arrays in, numbers with units out.
+"""Evaluation: plain arrays and result types in, numbers with units out; a figure over nothing is NaN, its `n` 0.
 
-One convention for empty sets everywhere: a figure over nothing is NaN and its count `n` is 0.
+May import `core` and `logs` (true poses are those of a log); neither a method's parts nor `run_folder`.
+Public: the names below.
 """
 
+from slammot_graph.evaluation.comparison import ComparedRun, compare, true_path
 from slammot_graph.evaluation.consistency import (
     AverageNees,
     Coverage,
@@ -31,13 +33,24 @@ from slammot_graph.evaluation.trajectories import (
     RelativeError,
     absolute_error,
     alignment,
-    read_trajectory,
+    path_length,
     relative_error,
+)
+from slammot_graph.evaluation.truth import (
+    MAX_DIFFERENCE_S,
+    TruePath,
+    TruthScores,
+    associate,
+    evaluate_truth,
+    find_truth,
+    read_truth,
 )
 
 __all__ = [
+    "MAX_DIFFERENCE_S",
     "AbsoluteError",
     "AverageNees",
+    "ComparedRun",
     "Coverage",
     "ErrorStats",
     "MapScores",
@@ -48,10 +61,14 @@ __all__ = [
     "RunConsistency",
     "TrackPoints",
     "TrackScores",
+    "TruePath",
+    "TruthScores",
     "absolute_error",
     "alignment",
+    "associate",
     "average_nees",
     "beam_speeds",
+    "compare",
     "distance_to_wall",
     "ellipse_coverage",
     "evaluate_map",
@@ -59,13 +76,17 @@ __all__ = [
     "evaluate_relations",
     "evaluate_strata",
     "evaluate_tracks",
+    "evaluate_truth",
+    "find_truth",
     "motion_strata",
     "nees",
+    "path_length",
     "pose_errors",
     "read_relations",
-    "read_trajectory",
+    "read_truth",
     "relative_error",
     "run_consistency",
     "strata",
     "summarize",
+    "true_path",
 ]

@@ -1,4 +1,4 @@
-"""Do covariances say the truth? NEES, its average with bounds, and the coverage of ellipses."""
+"""Consistency of covariances: NEES, its average with bounds, and the coverage of ellipses."""
 
 import math
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ _SIGMAS_95 = 1.959963984540054
 
 @dataclass(frozen=True, kw_only=True)
 class AverageNees:
-    """Average normalised estimation error squared, and the interval in which an honest one lies.
+    """Average normalised estimation error squared, and the interval of a consistent one.
 
     Attributes
     ----------
     n : int
         Samples; NaN samples are left out.
     dof : int
-        Degrees of freedom of one sample: what an honest average is near to.
+        Degrees of freedom of one sample: the expected average of a consistent estimate.
     anees : float
         Mean NEES; above `upper` the covariances are optimistic, below `lower` pessimistic.
     lower, upper : float
@@ -51,7 +51,7 @@ class Coverage:
     ----------
     n : int
     share : float
-        Near to `probability` if the covariances are honest.
+        Near to `probability` if the covariances are calibrated.
     lower, upper : float
         95% confidence interval of the share (Wilson), for independent samples.
     probability : float
@@ -166,18 +166,18 @@ def ellipse_coverage(errors: FloatArray, cov: FloatArray, *, probability: float 
 
 @dataclass(frozen=True, kw_only=True)
 class RunConsistency:
-    """How honest the covariances of one run are; its scans depend on each other, so it has no bounds.
+    """Consistency of the covariances of one run; its scans depend on each other, so it has no bounds.
 
     Attributes
     ----------
     nis_mean : float
-        Mean normalised innovation squared, 3 if prediction and match are honest; NaN without matches. Above: the
+        Mean normalised innovation squared, 3 if prediction and match are consistent; NaN without matches. Above: the
         odometry or the matches are worse than their covariances say.
     nis_above_95 : float
-        Share of the innovations beyond the 95% bound, 5% if honest.
+        Share of the innovations beyond the 95% bound, 5% if consistent.
     relative_nees, relative_covered : float
-        Mean NEES (3 if honest) of the poses relative to their local map's anchor, and the share within their 95%
-        ellipsoid; NaN where the truth is not known.
+        Mean NEES (3 if consistent) of the poses relative to their local map's anchor, and the share within their 95%
+        ellipsoid; NaN without truth.
     map_nees, map_covered : float
         The same of the optimised poses in the map, which begins at the true start.
     """
@@ -191,13 +191,13 @@ class RunConsistency:
 
 
 def run_consistency(result: RunResult) -> RunConsistency:
-    """Judge a run's covariances: by its innovations, and by the truth where the log knows it."""
+    """Evaluate a run's covariances by its innovations, and by the truth where the log has it."""
     nis = result.nis[np.isfinite(result.nis)]
     relative = in_map = (math.nan, math.nan)
     if result.T_world_base is not None:
         truth = result.T_world_base
-        errors, is_judged = errors_to_anchor(result, truth)
-        relative = nees_and_coverage(errors, result.cov_anchor_base[is_judged])
+        errors, is_matched = errors_to_anchor(result, truth)
+        relative = nees_and_coverage(errors, result.cov_anchor_base[is_matched])
         T_map_world = se2.compose(result.T_map_base[0], se2.inverse(truth[0]))
         errors = pose_errors(result.T_map_base[1:], se2.compose(T_map_world[None, :], truth[1:]))
         in_map = nees_and_coverage(errors, result.cov_map[1:])
@@ -214,12 +214,12 @@ def run_consistency(result: RunResult) -> RunConsistency:
 def errors_to_anchor(result: RunResult, T_world_base: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Errors (k, 3) of the poses relative to their local map's anchor, as of `pose_errors`.
 
-    Also tells which of the n scans have one (n,): those that were matched on a local map.
+    The second array (n,) is True for the scans that have one: those that were matched onto a local map.
     """
     anchors = result.anchor_scans
-    is_judged = (anchors >= 0) & (anchors < len(T_world_base)) & (anchors != np.arange(len(T_world_base)))
-    from_anchor = se2.between(T_world_base[anchors[is_judged]], T_world_base[is_judged])
-    return pose_errors(result.T_anchor_base[is_judged], from_anchor), is_judged
+    is_matched = (anchors >= 0) & (anchors < len(T_world_base)) & (anchors != np.arange(len(T_world_base)))
+    from_anchor = se2.between(T_world_base[anchors[is_matched]], T_world_base[is_matched])
+    return pose_errors(result.T_anchor_base[is_matched], from_anchor), is_matched
 
 
 def nees_and_coverage(errors: FloatArray, cov: FloatArray) -> tuple[float, float]:

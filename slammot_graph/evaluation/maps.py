@@ -64,7 +64,7 @@ def evaluate_map(
     Parameters
     ----------
     grid : GridMap
-        The map to judge.
+        The map to evaluate.
     reference : GridMap
         The map of the same log without people, in the same frame and resolution; the origins may differ, by
         whole cells or not (cells are then paired by the nearest centre).

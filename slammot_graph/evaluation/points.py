@@ -20,7 +20,7 @@ STANDING_SPEED_M_S = 0.1
 class PointScores:
     """Confusion counts of moving points and the scores made from them; a share of nothing is NaN.
 
-    In a set without any static point (a stratum by the speed of what was hit) only `recall` says something:
+    In a set without any static point (a stratum by the speed of what was hit) only `recall` is meaningful:
     precision could not be other than 1, so `precision`, `f1` and `iou` are NaN there.
 
     Attributes

@@ -10,12 +10,11 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.number_rows import read_number_rows
+from slammot_graph.core.stamps import STAMP_TOLERANCE_S, nearest_stamps
 from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation.stats import ErrorStats, summarize
-from slammot_graph.evaluation.trajectories import error_sizes, nearest_stamps, read_number_rows
-
-STAMP_TOLERANCE_S = 1e-5
-"""A relation's time belongs to a pose if their stamps differ by no more than this [s]."""
+from slammot_graph.evaluation.trajectories import error_sizes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +81,8 @@ def evaluate_relations(
     Parameters
     ----------
     stamps : (n,) array
-        Times of the poses [s], in any order; of equal ones the first pose counts.
+        Times of the poses [s], in any order; of equal ones the first pose counts. A relation's time belongs to a
+        pose if their stamps differ by at most `STAMP_TOLERANCE_S`.
     T_map_base : (n, 3) array
         The trajectory [m, m, rad].
     relations : Relations

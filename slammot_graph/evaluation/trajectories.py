@@ -1,7 +1,6 @@
-"""Absolute and relative trajectory errors (ATE, RPE), and the reader of ``trajectory.tum``."""
+"""Absolute and relative trajectory errors (ATE, RPE)."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,10 +9,6 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.evaluation.stats import ErrorStats, summarize
-
-MAX_DIFFERENCE_S = 0.01
-"""Poses whose stamps differ by more than this do not belong together [s]; evo's default."""
-_TUM_COLUMNS = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +45,7 @@ class RelativeError:
 
 
 def alignment(T_map_base: FloatArray, T_world_base: FloatArray) -> FloatArray:
-    """Find the rigid transform that lays one trajectory best onto another (Umeyama 1991, no scale, 2D).
+    """Find the rigid transform that aligns one trajectory with another (Umeyama 1991, no scale, 2D).
 
     Parameters
     ----------
@@ -59,7 +54,7 @@ def alignment(T_map_base: FloatArray, T_world_base: FloatArray) -> FloatArray:
 
     Returns
     -------
-    (3,) array ``T_world_map``; NaN for n = 0, and without rotation where the positions do not tell one.
+    (3,) array ``T_world_map``; NaN for n = 0, and without rotation where the positions do not determine one.
 
     Raises
     ------
@@ -88,7 +83,7 @@ def absolute_error(T_map_base: FloatArray, T_world_base: FloatArray, *, align: b
     T_world_base : (n, 3) array
         True poses.
     align : bool
-        Lay the estimate onto the truth first (see `alignment`).
+        Align the estimate with the truth first (see `alignment`).
 
     Raises
     ------
@@ -149,94 +144,8 @@ def error_sizes(errors: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def path_length(T_map_base: FloatArray) -> float:
-    """Length [m] of the way along poses (n, 3)."""
+    """Path length [m] along poses (n, 3)."""
     return float(np.hypot(*np.diff(T_map_base[:, :2], axis=0).T).sum())
-
-
-def associate(
-    stamps: FloatArray, true_stamps: FloatArray, *, max_difference_s: float = MAX_DIFFERENCE_S
-) -> tuple[IntArray, IntArray]:
-    """Find the true pose of each pose by their times, as evo does.
-
-    Parameters
-    ----------
-    stamps, true_stamps : (n,), (m,) arrays [s]
-        In any order: stamps of recorded logs may run backward.
-    max_difference_s : float
-        A pose without a true one as near as this is left out.
-
-    Returns
-    -------
-    i, j : (k,) int arrays
-        Pose ``i`` has the true pose ``j``; a true pose may belong to several.
-    """
-    of = nearest_stamps(true_stamps, stamps, max_difference_s)
-    i = np.flatnonzero(of >= 0)
-    return i, of[i]
-
-
-def nearest_stamps(stamps: FloatArray, wanted: FloatArray, tolerance_s: float) -> IntArray:
-    """Index of the nearest stamp (in any order) for each wanted time, -1 where none lies within the tolerance."""
-    if len(stamps) == 0:
-        return np.full(len(wanted), -1, dtype=np.int64)
-    order = np.argsort(stamps, kind="stable")
-    ordered = stamps[order]
-    right = np.searchsorted(ordered, wanted).clip(0, len(stamps) - 1)
-    left_stamps = ordered[(right - 1).clip(0)]
-    left = np.searchsorted(ordered, left_stamps)
-    nearest = np.where(np.abs(ordered[right] - wanted) <= np.abs(left_stamps - wanted), right, left)
-    is_near = np.abs(ordered[nearest] - wanted) <= tolerance_s
-    return np.where(is_near, order[nearest], -1)
-
-
-def read_trajectory(path: str | Path) -> tuple[FloatArray, FloatArray]:
-    """Read a TUM trajectory: lines ``stamp x y z qx qy qz qw``, of which the planar part is kept.
-
-    Returns
-    -------
-    stamps : (n,) array [s]
-    T_map_base : (n, 3) array [m, m, rad]
-
-    Raises
-    ------
-    InputError
-        The file is missing, or a line in it is not eight finite numbers.
-    """
-    path = Path(path)
-    rows = read_number_rows(path, _TUM_COLUMNS)
-    yaw = 2.0 * np.arctan2(rows[:, 6], rows[:, 7])
-    return rows[:, 0], np.column_stack([rows[:, 1], rows[:, 2], se2.wrap_angle(yaw)])
-
-
-def read_number_rows(path: Path, n_columns: int) -> FloatArray:
-    """Read a text file of `n_columns` finite numbers a line as an (n, n_columns) array.
-
-    Empty lines and what follows ``#`` are passed over.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a line in it is not what it should be; the text names the line.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file of {n_columns} numbers a line") from None
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=1):
-        words = line.split("#", 1)[0].split()
-        if not words:
-            continue
-        try:
-            row = [float(word) for word in words]
-        except ValueError:
-            row = []
-        if len(row) != n_columns or not np.all(np.isfinite(row)):
-            raise InputError(f"{path}, line {number}: expected {n_columns} finite numbers, not {line[:60]!r}")
-        rows.append(row)
-    return np.array(rows, dtype=np.float64).reshape(-1, n_columns)
 
 
 def _pairs(

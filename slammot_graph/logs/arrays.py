@@ -10,7 +10,7 @@ import numpy.typing as npt
 from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.core.scan import LaserModel, ScanTruth
 from slammot_graph.core.types import FloatArray
-from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
 
 SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
@@ -19,7 +19,7 @@ TRUTH = ("poses", "is_moving", "object_id")
 ESTIMATES = "poses_are_estimates"
 
 
-class ArrayLog(CheckedLog):
+class ArrayLog(RecordedLog):
     """A log kept in an ``.npz`` file, n scans of equal geometry; the keys are those of `write_npz_log`.
 
     Other keys are ignored. The arrays are held in memory.
@@ -101,7 +101,7 @@ def write_npz_log(
     object_id : (n, beams) int array, optional
         Which object the beam hit; -1 for none.
     poses_are_estimates : bool
-        The `poses` are those of a run, as in an injected log: no truth to judge another run by.
+        The `poses` are those of a run, as in an injected log: not a truth to evaluate another run against.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
     except InputError:
         raise
     except Exception as err:  # the decoders of a damaged file may raise anything
-        raise InputError(f"{path}: cannot be read as .npz ({one_line(err)}); write it anew") from None
+        raise InputError(f"{path}: cannot be read as .npz ({one_line(err)}); write it again") from None
 
 
 def _member(path: Path, file: "np.lib.npyio.NpzFile", key: str) -> npt.NDArray[Any]:
@@ -157,7 +157,7 @@ def _member(path: Path, file: "np.lib.npyio.NpzFile", key: str) -> npt.NDArray[A
 
 
 def _checked(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """The arrays with their kinds and shapes made sure of."""
+    """The arrays, converted to their kinds and checked for their shapes."""
     missing = [key for key in REQUIRED if key not in arrays]
     if missing:
         raise InputError(f"{path}: lacks {', '.join(missing)}; a log needs the keys {', '.join(REQUIRED)}")

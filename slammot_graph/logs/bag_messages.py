@@ -1,4 +1,4 @@
-"""Messages of a ROS 1 or ROS 2 bag, with every failure of the reader told as an `InputError`."""
+"""Messages of a ROS 1 or ROS 2 bag, with every failure of the reader raised as an `InputError`."""
 
 import math
 from collections.abc import Generator, Iterator, Sequence
@@ -100,7 +100,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     Raises
     ------
     InputError
-        It is not a bag, cut short, or not indexed.
+        It is not a bag, truncated, or not indexed.
     """
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -121,7 +121,7 @@ def _unreadable(path: Path, err: Exception) -> InputError:
     tool = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 .recover"}
     remedy = tool.get(path.suffix, "ros2 bag reindex")
     return InputError(
-        f"{path}: the bag is damaged or cut short ({one_line(err)}); copy it again, or mend it with `{remedy}`"
+        f"{path}: the bag is damaged or truncated ({one_line(err)}); copy it again, or repair it with `{remedy}`"
     )
 
 

@@ -1,4 +1,4 @@
-"""The laser's mounting as the transforms (tf) of a bag tell it."""
+"""The laser's mounting from the transforms (tf) of a bag."""
 
 import math
 from collections.abc import Generator, Sequence
@@ -15,7 +15,7 @@ MOUNTING_SEARCH_S = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class FoundMounting:
-    """A mounting, who told it ("given", "tf", "assumed") and what a person should know about it."""
+    """A mounting, its origin ("given", "tf", "assumed") and warnings about it."""
 
     mounting: Mounting
     told_by: str
@@ -28,7 +28,7 @@ def find_mounting(
     laser_frame: str,
     laser_pose: tuple[float, float, float] | None = None,
 ) -> FoundMounting:
-    """The laser in the base by tf; the identity, and a warning, where tf does not tell.
+    """The laser in the base by tf; the identity, and a warning, where tf does not connect them.
 
     A `laser_pose` (x, y, theta) [m, m, rad] takes the place of the one in tf, which then says only whether the
     laser is tilted or upside down.

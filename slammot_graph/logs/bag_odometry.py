@@ -1,4 +1,4 @@
-"""Odometry of a bag, from a topic or from tf, and the question whose clock it is stamped by."""
+"""Odometry of a bag, from a topic or from tf, and whether it shares a clock with the scans."""
 
 import math
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ def _odometry_from_tf(bag: Bag) -> list[OdometrySample]:
 
 
 def base_frames(samples: Sequence[OdometrySample]) -> list[str]:
-    """Names that the base frame may have, the one that the odometry tells first."""
+    """Names that the base frame may have, that of the odometry first."""
     named = samples[0].base_frame
     return [named, *(x for x in BASE_FRAMES if x != named)] if named else list(BASE_FRAMES)
 

@@ -1,16 +1,16 @@
-"""The loop that all formats share: judge each record, keep book of those left out, number the rest."""
+"""The loop that all formats share: check each record, list the skipped ones, number the rest."""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
 
+from slammot_graph.core.log_info import SourceInfo
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.core.types import FloatArray
 from slammot_graph.logs.source import SkippedScan
@@ -34,8 +34,8 @@ class RawScan:
 Records: TypeAlias = Generator[RawScan | SkippedScan, None, None]
 
 
-class CheckedLog(ABC):
-    """A `LaserLog` whose format only has to say how its records are decoded.
+class RecordedLog(ABC):
+    """A `LaserLog` of a format that only has to decode its records.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class CheckedLog(ABC):
         Scan records in the file.
     opening_warnings : sequence of str
         Warnings that hold for every iteration.
-    source : mapping of str
+    source : SourceInfo, optional
         What of the file is used, as `source_of` gives it.
     """
 
@@ -54,13 +54,13 @@ class CheckedLog(ABC):
         *,
         n_scans: int,
         opening_warnings: Sequence[str] = (),
-        source: Mapping[str, str] = MappingProxyType({}),
+        source: SourceInfo | None = None,
     ) -> None:
         self.path = path
         self.n_scans = n_scans
         self.skipped: list[SkippedScan] = []
         self.warnings: list[str] = list(opening_warnings)
-        self.source: dict[str, str] = dict(source)
+        self.source: SourceInfo = {} if source is None else source
         self._opening_warnings = tuple(opening_warnings)
 
     @abstractmethod
@@ -106,7 +106,7 @@ class CheckedLog(ABC):
 
 
 def _why_unusable(record: RawScan) -> str:
-    """Why a record is no scan to work with; empty when it is one."""
+    """Why a record is unusable; empty when it is usable."""
     if not math.isfinite(record.stamp):
         return "its stamp is not finite"
     if not all(map(math.isfinite, record.T_odom_base.tolist())):

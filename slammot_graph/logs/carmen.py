@@ -9,7 +9,7 @@ import numpy as np
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.scan import LaserModel
 from slammot_graph.core.types import FloatArray
-from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.carmen_geometry import survey_carmen
 from slammot_graph.logs.carmen_lines import LaserLine, split_laser_line
 from slammot_graph.logs.mounting import laser_pose_source
@@ -17,13 +17,13 @@ from slammot_graph.logs.source import SkippedScan
 from slammot_graph.logs.text_lines import numbered_lines
 
 
-class CarmenLog(CheckedLog):
+class CarmenLog(RecordedLog):
     """A CARMEN log, plain or compressed by gzip or bzip2.
 
     Odometry, stamp and mounting come from the laser's own lines: odometry pose, ipc_timestamp, and laser pose
     seen from the odometry pose. The mounting is one for the whole file: the median over its lines, rounded to
-    0.1 mm and 0.1 mrad. FLASER does not tell the laser's limit: it is the largest reading of the file, which
-    is what the scanner reports where nothing returns.
+    0.1 mm and 0.1 mrad. FLASER does not contain the laser's maximum range: it is taken as the largest reading of
+    the file, which is what the scanner reports where nothing returns.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What must be known of a CARMEN log before its first scan: counts, the laser's limit and its mounting."""
+"""First pass over a CARMEN log: counts, the laser's maximum range and its mounting."""
 
 import math
 from collections.abc import Iterable
@@ -76,7 +76,7 @@ class _Readings:
 
 
 class _KindSurvey:
-    """What the lines of one kind tell."""
+    """What is known from the lines of one kind."""
 
     def __init__(self) -> None:
         self.n_lines = 0
@@ -91,7 +91,7 @@ def survey_carmen(path: Path, laser_pose: tuple[float, float, float] | None = No
     Raises
     ------
     InputError
-        The file cannot be read, is cut short, or holds no laser line.
+        The file cannot be read, is truncated, or holds no laser line.
     """
     surveys = {kind: _KindSurvey() for kind in KINDS}
     prefixes = tuple(kind.encode() + b" " for kind in KINDS)

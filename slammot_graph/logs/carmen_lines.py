@@ -1,4 +1,4 @@
-"""The fields of CARMEN's laser lines, found but not yet turned into numbers."""
+"""The fields of CARMEN's laser lines, as tokens."""
 
 from typing import NamedTuple
 
@@ -57,7 +57,7 @@ def _split_robotlaser(tokens: list[bytes]) -> LaserLine:
 
 def _count(tokens: list[bytes], position: int) -> int:
     if len(tokens) <= position:
-        raise ValueError("the line is cut short")
+        raise ValueError("the line is truncated")
     count = int(tokens[position])
     if count < 0:
         raise ValueError(f"a count of {count}")

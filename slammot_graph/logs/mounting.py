@@ -1,4 +1,4 @@
-"""Where the laser sits on the robot, told by the transforms (tf) of a bag."""
+"""The laser's mounting on the robot: from the transforms (tf) of a bag, or given."""
 
 import math
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.log_info import SourceInfo
 from slammot_graph.core.types import FloatArray
 
 MAX_TILT = math.radians(10.0)
@@ -15,13 +16,13 @@ MAX_TILT = math.radians(10.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Mounting:
-    """A laser on a robot, seen from above.
+    """The pose of a laser in the robot's base, in the plane.
 
     Attributes
     ----------
     T_base_laser : (x, y, theta)
     is_upside_down : bool
-        The laser's z axis points down: its beams turn the other way.
+        The laser's z axis points down: its beams turn clockwise, seen from above.
     tilt : float
         Angle between the planes of laser and robot [rad].
     """
@@ -36,13 +37,13 @@ class Mounting:
         return self.tilt <= MAX_TILT
 
 
-def laser_pose_source(T_base_laser: tuple[float, float, float], told_by: str) -> dict[str, str]:
-    """Say in words where a laser (x, y, theta) [m, m, rad] sits on the base, and who says so; for `source_of`."""
-    return {"laser_pose": " ".join(f"{value:.6g}" for value in T_base_laser), "laser_pose_from": told_by}
+def laser_pose_source(T_base_laser: tuple[float, float, float], told_by: str) -> SourceInfo:
+    """Give the pose of a laser (x, y, theta) [m, m, rad] in the base and its origin, for `source_of`."""
+    return {"laser_pose": T_base_laser, "laser_pose_from": told_by}
 
 
 def check_laser_pose(laser_pose: tuple[float, float, float] | None) -> None:
-    """Make sure that a laser pose that a person gave is one.
+    """Check a laser pose that the user gave.
 
     Raises
     ------
@@ -88,7 +89,7 @@ class FrameTree:
 
 
 def mounting_from_transform(T_base_laser: FloatArray) -> Mounting:
-    """See a transform (4, 4) from above; numbers are rounded to 1e-6 m and rad."""
+    """Project a transform (4, 4) onto the plane; numbers are rounded to 1e-6 m and rad."""
     x, y = T_base_laser[0, 3], T_base_laser[1, 3]
     theta = math.atan2(T_base_laser[1, 0], T_base_laser[0, 0])
     cos_z = float(np.clip(T_base_laser[2, 2], -1.0, 1.0))

@@ -8,7 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
 
 MAX_HOLD_S = 0.2
-"""How far the nearest pose is carried over to a stamp that has no pose on both sides."""
+"""How long the nearest pose is held for a stamp that has no pose on both sides."""
 
 MAX_GAP_S = 2.0
 """Poses further apart than this in time are not interpolated between."""

@@ -1,4 +1,4 @@
-"""The one door to all formats."""
+"""`open_log`: the format of a log by its first bytes."""
 
 from pathlib import Path
 
@@ -90,7 +90,7 @@ def _bag_in_folder(path: Path) -> Path:
         return files[0]
     if files:
         raise InputError(
-            f"{path}: a bag of {len(files)} files without metadata.yaml; mend it with `ros2 bag reindex`"
+            f"{path}: a bag of {len(files)} files without metadata.yaml; repair it with `ros2 bag reindex`"
         )
     raise InputError(
         f"{path}: a folder but no ROS 2 bag (metadata.yaml, .db3 or .mcap); give a log: {KNOWN_FORMATS}"

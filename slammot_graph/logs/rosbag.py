@@ -13,23 +13,23 @@ from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_
 from slammot_graph.logs.bag_mounting import find_mounting
 from slammot_graph.logs.bag_odometry import base_frames, odometry_track, read_odometry, share_a_clock
 from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic, tf_topic
-from slammot_graph.logs.base import CheckedLog, RawScan, Records, one_line
+from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.odometry import MAX_HOLD_S
 from slammot_graph.logs.source import SkippedScan
 
 MAX_BEAM_COUNT_ERROR = 1.5
-"""Beams that a scan's count may differ from what its angles tell."""
+"""Largest difference between a scan's count of beams and the count from its angles."""
 
 N_SCANS_SAMPLED = 20
 """Scans looked at on opening, to learn the laser's frame and clock."""
 
 
-class RosbagLog(CheckedLog):
+class RosbagLog(RecordedLog):
     """A bag, read in two passes: a light one for odometry and tf on opening, one for the scans each time.
 
     Odometry is interpolated to the scan's stamp. Stamps are the headers' (a scan is recorded only after its
-    sweep and its way through the driver), unless the headers of scans and odometry do not share a clock: then
+    sweep and the delay of the driver), unless the headers of scans and odometry do not share a clock: then
     recording times are used for both, with a warning.
 
     Parameters
@@ -115,7 +115,7 @@ class RosbagLog(CheckedLog):
         )
 
     def _laser(self, scan: Any, lasers: dict[tuple[float, ...], LaserModel]) -> LaserModel:
-        """The laser that took a scan; of one mounted upside down the beams run the other way."""
+        """The laser that took a scan; if it is mounted upside down, the order of the angles is reversed."""
         n_beams = len(scan.ranges)
         key = (scan.angle_min, scan.angle_max, scan.angle_increment, n_beams, scan.range_min, scan.range_max)
         if key not in lasers:
@@ -140,5 +140,5 @@ def _first_scans(bag: Bag, topic: Topic) -> list[BagMessage]:
     with closing(bag.messages([topic])) as messages:
         scans = [x for x in islice(messages, N_SCANS_SAMPLED) if x.content is not None]
     if not scans:
-        raise InputError(f"{bag.path}: the messages of {topic.name} cannot be decoded; record the bag anew")
+        raise InputError(f"{bag.path}: the messages of {topic.name} cannot be decoded; record the bag again")
     return scans

@@ -1,10 +1,11 @@
-"""What a log is: a re-iterable stream of scans with odometry."""
+"""What gives scans: a source, perhaps live, and a recorded log, which can be read again."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast, runtime_checkable
 
+from slammot_graph.core.log_info import LogInfo, SourceInfo
 from slammot_graph.core.scan import Scan
 
 
@@ -15,7 +16,7 @@ class SkippedScan:
     Attributes
     ----------
     place : str
-        Where it stands: "line 12" or "message 12 of /scan", counted from 1, or "row 12" of arrays, from 0.
+        Where it is: "line 12" or "message 12 of /scan", counted from 1, or "row 12" of arrays, from 0.
     reason : str
     """
 
@@ -23,43 +24,55 @@ class SkippedScan:
     reason: str
 
 
-class LaserLog(Protocol):
-    """A re-iterable stream of scans with odometry, in the file's order.
+class Source(Protocol):
+    """A stream of scans with odometry; it may be live: its length is unknown, and it cannot be read twice.
 
-    Each iteration starts anew and reads from the file as it goes; a bad scan is left out. `skipped` and
-    `warnings` belong to the iteration that was started last, and begin anew with it.
+    Attributes
+    ----------
+    skipped : list of SkippedScan
+        The scans left out so far.
+    warnings : list of str
+        What the user should know: an assumed laser pose, stamps that jump (noted when the iteration ends).
+
+    A source may also have a mapping `source`, see `source_of`.
+    """
+
+    skipped: list[SkippedScan]
+    warnings: list[str]
+
+    def __iter__(self) -> Iterator[Scan]: ...
+
+
+@runtime_checkable
+class LaserLog(Source, Protocol):
+    """A recorded source: re-iterable, in the file's order.
+
+    Each iteration starts at the beginning and streams from the file; a bad scan is left out. `skipped` and
+    `warnings` belong to the iteration that was started last, and are reset by it.
 
     Attributes
     ----------
     path : Path
-    skipped : list of SkippedScan
-        The scans left out so far.
-    warnings : list of str
-        What a person should know about the log: a mounting that had to be assumed, stamps that jump (noted
-        when the iteration ends).
-
-    A log may also have a mapping `source`, see `source_of`.
     """
 
     path: Path
-    skipped: list[SkippedScan]
-    warnings: list[str]
 
     @property
     def n_scans(self) -> int:
         """Scan records in the file, usable or not; known without a full decode."""
 
-    def __iter__(self) -> Iterator[Scan]: ...
+
+def source_of(log: Iterable[Scan]) -> SourceInfo:
+    """Give what of its file a log uses; empty where the log does not say."""
+    return cast(SourceInfo, dict(getattr(log, "source", {})))
 
 
-def source_of(log: LaserLog) -> dict[str, str]:
-    """Tell what of its file a log uses, as plain text.
-
-    Returns
-    -------
-    dict of str
-        ``scan_topic`` and ``odom_topic`` of a bag; ``laser_pose``, the laser in the base as "x y yaw" [m, m, rad],
-        and ``laser_pose_from``, which says where that comes from; ``poses`` where the log's true poses are only
-        estimates. Empty where the log does not tell.
-    """
-    return dict(getattr(log, "source", {}))
+def describe(log: Iterable[Scan]) -> LogInfo:
+    """Describe a source, or scans alone, for a result; call it after the iteration, which may add warnings."""
+    recorded = log if isinstance(log, LaserLog) else None
+    return LogInfo(
+        path=None if recorded is None else recorded.path,
+        source=source_of(log),
+        warnings=tuple(getattr(log, "warnings", ())),
+        n_scans=None if recorded is None else recorded.n_scans,
+    )

@@ -15,7 +15,7 @@ _BUFFER_BYTES = 1 << 18
 
 
 def open_decompressed(path: Path) -> BinaryIO:
-    """Open a file for reading, seen through its compression, which its first bytes tell."""
+    """Open a file for reading, decompressed as its first bytes require."""
     with path.open("rb") as file:
         magic = file.read(3)
     if magic.startswith(b"\x1f\x8b"):
@@ -31,7 +31,7 @@ def numbered_lines(path: Path) -> Generator[tuple[int, bytes], None, None]:
     Raises
     ------
     InputError
-        The file cannot be read, or its compressed data is cut short or damaged.
+        The file cannot be read, or its compressed data is truncated or damaged.
     """
     number = 0
     try:
@@ -57,7 +57,7 @@ def read_start(path: Path, n_bytes: int = 4096) -> bytes:
     Raises
     ------
     InputError
-        The file cannot be read, or is cut short or damaged right at its start.
+        The file cannot be read, or is truncated or damaged right at its start.
     """
     try:
         with open_decompressed(path) as file:

@@ -1,4 +1,8 @@
-"""Simulated worlds, robots, lasers and people; people injected into real logs."""
+"""Simulation: worlds, robots, lasers and people with exact truth, and people injected into recorded logs.
+
+May import `core`, `logs` (to write a log) and `mapping` (free space); nothing that runs a method.
+Public: the names below.
+"""
 
 from slammot_graph.simulation.injection import inject, inject_along
 from slammot_graph.simulation.log import SimulatedLog

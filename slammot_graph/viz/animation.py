@@ -17,10 +17,11 @@ import numpy.typing as npt
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.saved_run import RunFolder, end_points, scans_of
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.stamps import STAMP_TOLERANCE_S, nearest_stamps
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.logs import LaserLog
-from slammot_graph.run_folder.reader import STAMP_TOLERANCE_S, RunFolder, end_points, scans_of
 from slammot_graph.viz.colors import (
     COLOR_ESTIMATE,
     COLOR_MOVING,
@@ -254,12 +255,9 @@ class _TracksOfScans:
     """The tracks of a run by its scans."""
 
     def __init__(self, folder: RunFolder) -> None:
-        order = np.argsort(folder.stamps, kind="stable")
-        ordered = folder.stamps[order]
-        wanted = folder.tracks[:, 0]
-        place = np.searchsorted(ordered, wanted - STAMP_TOLERANCE_S).clip(0, len(ordered) - 1)
-        is_known = np.abs(ordered[place] - wanted) <= STAMP_TOLERANCE_S
-        rows: IntArray = order[place[is_known]]
+        found = nearest_stamps(folder.stamps, folder.tracks[:, 0], STAMP_TOLERANCE_S)
+        is_known = found >= 0
+        rows: IntArray = found[is_known]
         by_row = np.argsort(rows, kind="stable")
         self._rows = rows[by_row]
         self._tracks = folder.tracks[is_known][by_row]

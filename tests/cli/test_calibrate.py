@@ -42,7 +42,7 @@ def test_the_noise_of_a_simulated_log_is_found(
     simulate("lab", seed=3, n_people=1, noise_scale=noise_scale).write(log)
     code, out, err = run(capsys, "calibrate", log, "--output", settings)
     assert code == 0
-    for word in ("std_rad_per_sqrt_m", "default", "estimated", "windows", str(settings), "1 if honest"):
+    for word in ("std_rad_per_sqrt_m", "default", "estimated", "windows", str(settings), "1 if consistent"):
         assert word in out
     assert "warning" not in err
     # of the whole noise but for slips; systematic errors as large as they are in the mean

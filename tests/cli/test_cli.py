@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,15 @@ from slammot_graph.cli import console, running
 from slammot_graph.cli.files import open_log_of_run
 from slammot_graph.core import _numba, se2
 from slammot_graph.core.results import StepResult
-from slammot_graph.evaluation import absolute_error, read_trajectory
+from slammot_graph.evaluation import absolute_error
 from slammot_graph.logs import write_npz_log
-from slammot_graph.run_folder import writer as results
+from slammot_graph.run_folder import directory
 from slammot_graph.run_folder.reader import read_run_folder
+from slammot_graph.run_folder.tum import read_trajectory
 from slammot_graph.simulation import SCENARIOS
 
 N_SCANS = 12
-RUN_FILES = set(results.RUN_FILES) - {"run.rrd"}
+RUN_FILES = set(directory.RUN_FILES) - {"run.rrd"}
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +93,14 @@ def test_run_writes_a_run_folder(capsys: pytest.CaptureFixture[str], log: Path, 
     summary = json.loads((output / "summary.json").read_text())
     assert (summary["method"], summary["n_scans"]) == ("odometry", N_SCANS)
     assert summary["log"] == str(log)
-    assert summary["source"] == {"laser_pose": "0 0 0", "laser_pose_from": "the key laser_pose"}
+    assert summary["source"] == {"laser_pose": [0.0, 0.0, 0.0], "laser_pose_from": "the key laser_pose"}
     assert summary["warnings"] == []
     rows = table_rows(out)
     assert rows["scans"] == str(N_SCANS)
     assert rows["laser pose"] == "0 0 0 (x y yaw [m, m, rad]; the key laser_pose)"
     assert (rows["duration"], rows["path length"], rows["tracks"]) == ("2.2 s", "1.1 m", "0")
     assert rows["files"] == str(output)
-    names = ", ".join(name for name in results.RUN_FILES if name not in ("graph.g2o", "run.rrd"))
+    names = ", ".join(name for name in directory.RUN_FILES if name not in ("graph.g2o", "run.rrd"))
     assert names in out
     assert {"skipped", "nodes", "loop closures", "ms per scan"} <= rows.keys()
     assert "box [1].npz" in out  # brackets in a name are no markup
@@ -150,13 +152,17 @@ def test_the_laser_may_be_placed_by_hand(
     capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path
 ) -> None:
     words = ("run", log, "--rerun", "off", "--method", "icp", "--output")
-    code, out, _ = run(capsys, *words, tmp_path / "out", "--laser-pose", 0.25, -0.5, 3.14)
+    laser_pose = (0.25, -0.123456789012, 3.1400000001)
+    code, out, _ = run(capsys, *words, tmp_path / "out", "--laser-pose", *laser_pose)
     assert code == 0
-    assert table_rows(out)["laser pose"] == "0.25 -0.5 3.14 (x y yaw [m, m, rad]; given)"
+    assert table_rows(out)["laser pose"] == "0.25 -0.123457 3.14 (x y yaw [m, m, rad]; given)"
     folder = read_run_folder(tmp_path / "out")
-    assert folder.summary["source"] == {"laser_pose": "0.25 -0.5 3.14", "laser_pose_from": "given"}
+    assert folder.summary["source"] == {"laser_pose": list(laser_pose), "laser_pose_from": "given"}
     scan = next(iter(open_log_of_run(folder, log)))  # as `animate` and `compare` do
-    assert scan.laser.T_base_laser == (0.25, -0.5, 3.14)
+    assert scan.laser.T_base_laser == laser_pose  # every digit
+    source = {"laser_pose": "0.25 -0.5 3.14", "laser_pose_from": "given"}  # as version 0.1 wrote it
+    older = replace(folder, summary={**folder.summary, "source": source})
+    assert next(iter(open_log_of_run(older, log))).laser.T_base_laser == (0.25, -0.5, 3.14)
     code, out, err = run(capsys, *words, tmp_path / "nan", "--laser-pose", "nan", 0, 0)
     assert (code, out) == (2, "")
     assert_one_line(err, "laser pose", "nan 0.0 0.0")

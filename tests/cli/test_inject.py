@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from slammot_graph import cli
-from slammot_graph.evaluation import read_trajectory
 from slammot_graph.logs import open_log, source_of, write_npz_log
+from slammot_graph.run_folder.tum import read_trajectory
 from slammot_graph.simulation import simulate
 from tests.cli.test_cli import assert_one_line, run
 

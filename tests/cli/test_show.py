@@ -157,11 +157,12 @@ def test_some_scans_of_a_log_that_has_moved(
     assert "run.gif: 3 frames" in err.splitlines()[-1]
 
 
+@pytest.mark.parametrize("damaged", ["0 0", [0.0, 0.0], [0.0, 0.0, "far"], None])
 def test_a_laser_pose_that_is_damaged_is_one_line(
-    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path, damaged: object
 ) -> None:
     path = folder / "summary.json"
-    source = {"laser_pose": "0 0", "laser_pose_from": "given"}
+    source = {"laser_pose": damaged, "laser_pose_from": "given"}
     path.write_text(json.dumps({**json.loads(path.read_text()), "source": source}))
     code, out, err = run(capsys, "animate", folder, "--output", tmp_path / "run.gif")
     assert (code, out) == (2, "")

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from evo.core import metrics
@@ -8,8 +6,7 @@ from evo.core.trajectory import PoseTrajectory3D
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.types import FloatArray
-from slammot_graph.evaluation import ErrorStats, absolute_error, alignment, read_trajectory, relative_error
-from slammot_graph.evaluation.trajectories import associate, path_length
+from slammot_graph.evaluation import ErrorStats, absolute_error, alignment, path_length, relative_error
 
 
 def walk(rng: np.random.Generator, n: int = 200) -> FloatArray:
@@ -115,45 +112,6 @@ def test_misuse_is_a_clear_error() -> None:
         relative_error(np.zeros((3, 3)), np.zeros((3, 3)), delta=0)
     with pytest.raises(InputError, match="stamp"):
         relative_error(np.zeros((3, 3)), np.zeros((3, 3)), delta=1, unit="s")
-
-
-def test_trajectory_file(tmp_path: Path) -> None:
-    path = tmp_path / "trajectory.tum"
-    half = np.sqrt(0.5)
-    path.write_text(f"# a comment\n1.5 1 2 0 0 0 {half} {half}\n\n2.5 3 4 0 0 0 -1 0\n")
-    stamps, poses = read_trajectory(path)
-    np.testing.assert_allclose(stamps, [1.5, 2.5])
-    np.testing.assert_allclose(poses, [[1, 2, np.pi / 2], [3, 4, -np.pi]])
-    path.write_text("")
-    assert read_trajectory(path)[1].shape == (0, 3)
-
-
-@pytest.mark.parametrize("line", ["1 2 3", "1 2 3 0 0 0 0 x", "nan 2 3 0 0 0 0 1"])
-def test_bad_trajectory_files_name_the_line(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "trajectory.tum"
-    path.write_text(f"1 2 3 0 0 0 0 1\n{line}\n")
-    with pytest.raises(InputError, match=r"trajectory.tum, line 2: expected 8 finite numbers"):
-        read_trajectory(path)
-
-
-def test_missing_and_binary_trajectories(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        read_trajectory(tmp_path / "none.tum")
-    (tmp_path / "binary.tum").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="not a text file"):
-        read_trajectory(tmp_path / "binary.tum")
-
-
-def test_poses_find_the_true_ones_nearest_in_time(rng: np.random.Generator) -> None:
-    """In any order: stamps of recorded logs run backward here and there."""
-    stamps, true_stamps = rng.uniform(0.0, 5.0, 200), rng.uniform(0.0, 5.0, 150)
-    distance = np.abs(stamps[:, None] - true_stamps)
-    i, j = associate(stamps, true_stamps, max_difference_s=0.02)
-    np.testing.assert_array_equal(i, np.flatnonzero(distance.min(axis=1) <= 0.02))
-    np.testing.assert_array_equal(j, distance.argmin(axis=1)[i])
-    assert 20 < len(i) < 180
-    for pair in (associate(stamps, np.zeros(0)), associate(np.zeros(0), true_stamps)):
-        assert [len(indices) for indices in pair] == [0, 0]
 
 
 def test_path_length() -> None:

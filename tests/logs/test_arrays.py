@@ -53,12 +53,12 @@ def test_round_trip_with_truth(tmp_path: Path) -> None:
 def test_what_was_used_is_told(tmp_path: Path) -> None:
     path = _written(tmp_path, example_arrays())
     assert source_of(open_log(path)) == {
-        "laser_pose": "0.2 -0.1 0.3",
+        "laser_pose": (0.2, -0.1, 0.3),
         "laser_pose_from": "the key laser_pose",
     }
     log = open_log(path, laser_pose=(1.0, 0.0, 0.5))
     assert next(iter(log)).laser.T_base_laser == (1.0, 0.0, 0.5)
-    assert source_of(log) == {"laser_pose": "1 0 0.5", "laser_pose_from": "given"}
+    assert source_of(log) == {"laser_pose": (1.0, 0.0, 0.5), "laser_pose_from": "given"}
     write_npz_log(path, **example_arrays(), poses=np.zeros((4, 3)), poses_are_estimates=True)
     assert source_of(open_log(path))["poses"] == "estimates"
 

@@ -103,10 +103,10 @@ def test_where_the_mounting_comes_from_is_told(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.clf", [robotlaser(GOOD, 1.0)])
     told = source_of(open_log(path))
     assert told["laser_pose_from"] == "the laser's lines"
-    assert told["laser_pose"].split() == [f"{x:.6g}" for x in next(iter(open_log(path))).laser.T_base_laser]
+    assert told["laser_pose"] == next(iter(open_log(path))).laser.T_base_laser
     log = open_log(path, laser_pose=(0.1, 0.0, -3.0))
     assert next(iter(log)).laser.T_base_laser == (0.1, 0.0, -3.0)
-    assert source_of(log) == {"laser_pose": "0.1 0 -3", "laser_pose_from": "given"}
+    assert source_of(log) == {"laser_pose": (0.1, 0.0, -3.0), "laser_pose_from": "given"}
 
 
 def test_one_kind_of_laser_line_is_read(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ BAD_LINES = {
     "malformed reading": (flaser(["1.2x", *GOOD[1:]], 2.0), "could not convert"),
     "malformed count": ("FLASER many 1 2 3", "invalid literal"),
     "negative count": ("FLASER -3 1 2 3", "a count of -3"),
-    "no tokens": ("FLASER ", "cut short"),
+    "no tokens": ("FLASER ", "truncated"),
     "count against tokens": (flaser(GOOD, 2.0).replace("FLASER 180", "FLASER 181"), "tokens where"),
     "cut short": (flaser(GOOD, 2.0)[:300], "tokens where"),
     "other beam count": (flaser([1.0] * 181, 2.0), "181 beams where the log's first scan has 180"),

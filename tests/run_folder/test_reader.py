@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import pytest
 
 from slammot_graph import Run
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.log_info import LogInfo
 from slammot_graph.core.results import RunResult
-from slammot_graph.run_folder.reader import end_points, have_same_times, read_run_folder, scans_of
+from slammot_graph.core.saved_run import end_points, moving_points, scans_of
+from slammot_graph.run_folder.reader import read_run_folder
 from slammot_graph.run_folder.writer import write_run_folder
 from tests.rooms import ListLog, drive
 
@@ -29,7 +32,7 @@ def result() -> RunResult:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    write_run_folder(tmp_path / "run", result(), log="some.bag")
+    write_run_folder(tmp_path / "run", replace(result(), log=LogInfo(path=Path("some.bag"))))
     return tmp_path / "run"
 
 
@@ -42,8 +45,7 @@ def test_what_was_written_is_read(path: Path) -> None:
     np.testing.assert_allclose(folder.T_map_base, run.T_map_base, atol=1e-8)
     assert folder.points is not None
     np.testing.assert_array_equal(folder.points.is_moving, run.is_moving)
-    np.testing.assert_allclose(folder.tracks, run.tracks[:, :4], rtol=1e-8)
-    assert folder.cov_map is not None
+    np.testing.assert_allclose(folder.tracks, run.tracks[:, :9], rtol=1e-8)
     np.testing.assert_allclose(folder.cov_map, run.cov_map)
     np.testing.assert_array_equal(folder.grid.p_occupied == 1.0, run.grid.p_occupied > 0.8)
     np.testing.assert_array_equal(folder.grid.p_occupied == 0.0, run.grid.p_occupied < 0.2)
@@ -62,7 +64,7 @@ def test_a_trajectory_alone_will_do(path: Path) -> None:
     folder = read_run_folder(path)
     assert folder.method == "run"
     assert (folder.points, folder.cov_map, folder.log) == (None, None, None)
-    assert folder.tracks.shape == (0, 4)
+    assert folder.tracks.shape == (0, 9)
     assert folder.grid.p_occupied.size == 0
     assert math.isnan(folder.figure("n_scans"))
     points, is_moving = end_points(folder, 3, log().scans[3])
@@ -87,7 +89,7 @@ def test_maps_of_other_programs_are_read(path: Path) -> None:
     [
         ("trajectory.tum", None, ["trajectory.tum", "cannot be read"]),
         ("trajectory.tum", "", ["trajectory.tum", "holds no poses"]),
-        ("points.npz", "x", ["points.npz", "not a whole"]),
+        ("points.npz", "x", ["points.npz", "not a complete"]),
         ("trajectory.tum", "1 0 0 0 0 0 0 1\n", ["points.npz", "not those of trajectory.tum"]),
         ("tracks.csv", "stamp,id,x,y\n1,2,3,4\n1,2,3,far\n", ["tracks.csv, line 3", "stamp, id, x, y"]),
         ("tracks.csv", "stamp,id\n1,2\n", ["tracks.csv, line 2"]),
@@ -115,13 +117,6 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
         read_run_folder(tmp_path / "none")
 
 
-def test_runs_are_of_one_log_as_far_as_the_shorter_goes() -> None:
-    stamps = np.array([1.0, 1.1, 1.2])
-    assert have_same_times(stamps, stamps[:2] + 4e-6)
-    assert not have_same_times(stamps, stamps + 1e-3)
-    assert not have_same_times(stamps, stamps[:0])
-
-
 def test_the_end_points_are_those_of_the_run(path: Path) -> None:
     folder = read_run_folder(path)
     scans = list(scans_of(folder, log()))
@@ -131,6 +126,16 @@ def test_the_end_points_are_those_of_the_run(path: Path) -> None:
         valid = result().is_valid[row]
         np.testing.assert_allclose(points, scans[row].points(folder.T_map_base[row])[valid])
         np.testing.assert_array_equal(is_moving, result().is_moving[row][valid])
+    moving = moving_points(folder, log())
+    assert [len(points) for points in moving] == np.count_nonzero(result().is_moving, axis=1).tolist()
+
+
+def test_tracks_of_other_programs_may_have_fewer_columns(path: Path) -> None:
+    (path / "tracks.csv").write_text("id,stamp,y,x,vy\n3,0.5,2,1,-1\n")
+    nan = math.nan
+    np.testing.assert_array_equal(
+        read_run_folder(path).tracks, [[0.5, 3.0, 1.0, 2.0, nan, -1.0, nan, nan, nan]]
+    )
 
 
 def shift(path: Path) -> None:

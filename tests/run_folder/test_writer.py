@@ -11,11 +11,12 @@ import pytest
 from slammot_graph import Run
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
-from slammot_graph.core.events import make_event
+from slammot_graph.core.log_info import LogInfo
 from slammot_graph.core.results import GridMap, RunResult
-from slammot_graph.core.types import FloatArray
-from slammot_graph.evaluation import read_trajectory
-from slammot_graph.run_folder.writer import prepare_output, read_points, write_run_folder
+from slammot_graph.run_folder.directory import prepare_output
+from slammot_graph.run_folder.points import read_points
+from slammot_graph.run_folder.tum import read_trajectory
+from slammot_graph.run_folder.writer import write_run_folder
 from tests.rooms import drive
 
 FILES = {
@@ -26,7 +27,6 @@ FILES = {
     "map.yaml",
     "graph.g2o",
     "covariances.npz",
-    "overview.png",
     "summary.json",
 }
 
@@ -126,28 +126,14 @@ def test_without_a_graph_there_is_no_g2o(folder: Path) -> None:
         assert file["node_scans"].shape == (0,)
 
 
-@pytest.mark.parametrize("log", ["some folder/some.bag", None])
-def test_the_picture_names_the_log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, log: str | None) -> None:
-    names = []
-
-    def draw(drawn: RunResult, path: Path, *, log_name: str | None, moving_points: FloatArray) -> None:
-        names.append(log_name)
-        assert moving_points is drawn.moving_points
-        path.touch()
-
-    monkeypatch.setattr("slammot_graph.viz.overview.draw_overview", draw)
-    write_run_folder(tmp_path, result(), log=log)
-    assert names == [None if log is None else "some.bag"]
-
-
 def test_the_summary_tells_what_of_the_log_was_used(tmp_path: Path) -> None:
     log = drive(5)
+    quiet_run = Run(log, "odometry").complete()
     log.warnings.append("tf does not tell")
-    written = Run(log, "odometry").complete()
-    write_run_folder(tmp_path / "plain", written, log="some.bag")
-    write_run_folder(tmp_path / "quiet", written, log=log)
     log.source = {"scan_topic": "/scan"}  # type: ignore[attr-defined]
-    write_run_folder(tmp_path / "log", written, log=log)
+    write_run_folder(tmp_path / "plain", replace(quiet_run, log=LogInfo(path=Path("some.bag"))))
+    write_run_folder(tmp_path / "quiet", quiet_run)
+    write_run_folder(tmp_path / "log", Run(log, "odometry").complete())
     plain, quiet, told = (
         json.loads((tmp_path / name / "summary.json").read_text()) for name in ("plain", "quiet", "log")
     )
@@ -162,19 +148,6 @@ def test_covariances_are_read_back(folder: Path) -> None:
     with np.load(folder / "covariances.npz") as file:
         np.testing.assert_array_equal(file["cov_map"], result().cov_map)
         np.testing.assert_array_equal(file["stamps"], result().stamps)
-
-
-def test_the_summary_keeps_events_with_their_kind(tmp_path: Path) -> None:
-    lost = make_event("lost", 7, cause="kidnapped", n_scans=8)
-    write_run_folder(tmp_path / "lost", replace(result(), events=(lost,)))
-    (told,) = json.loads((tmp_path / "lost" / "summary.json").read_text())["events"]
-    assert told == {
-        "scan": 7,
-        "text": lost.text,
-        "kind": "lost",
-        "severity": "error",
-        "data": {"cause": "kidnapped", "n_scans": 8},
-    }
 
 
 def test_the_summary_counts(folder: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slammot_graph.core.types import FloatArray
-from slammot_graph.run_folder.comparison import ComparedRun
+from slammot_graph.evaluation import ComparedRun
 from slammot_graph.viz.colors import COLOR_TRUTH, RUN_COLORS
 from slammot_graph.viz.rerun.primitives import (
     Sink,

@@ -1,19 +1,20 @@
-"""Several runs over one log side by side: in one frame, with the figures that tell them apart."""
+"""Several runs over one log compared: in one frame, with the errors of each."""
 
 import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.saved_run import RunFolder
+from slammot_graph.core.stamps import have_same_times
 from slammot_graph.core.types import FloatArray
-from slammot_graph.evaluation import Relations, RelationScores, absolute_error, evaluate_relations
-from slammot_graph.logs import LaserLog
-from slammot_graph.run_folder.reader import RunFolder, end_points, have_same_times, scans_of
+from slammot_graph.evaluation.relations import Relations, RelationScores, evaluate_relations
+from slammot_graph.evaluation.trajectories import absolute_error
+from slammot_graph.evaluation.truth import TruePath, true_poses_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +24,7 @@ class ComparedRun:
     Attributes
     ----------
     name : str
-        Tells it from the others: its method, else its folder.
+        Unique among the runs: its method, else its folder.
     folder : RunFolder
     T_ref_map : (3,) array
         The run's own map in the map of the first run: both start at the same place.
@@ -32,12 +33,12 @@ class ComparedRun:
     distance_m : (m,) array
         From the first run's trajectory, scan by scan.
     turn_deg : (m,) array
-        The angle between the two, without its sign.
+        Absolute angle between the two.
     relations : RelationScores or None
     ate_rmse_m : float
         Root mean square of the absolute trajectory error, aligned; NaN without truth.
     truth_error_m, truth_error_deg : (n,) arrays or None
-        Distance and angle to the truth, which is laid onto the start of the first run.
+        Distance and angle to the truth, which is aligned with the start of the first run.
     """
 
     name: str
@@ -58,53 +59,19 @@ class ComparedRun:
 
     @property
     def truth_rms_m(self) -> float:
-        """Root mean square of the distance to the truth, both started at the same place; NaN without truth."""
+        """Root mean square of the distance to the truth, aligned at the start; NaN without truth."""
         return math.nan if self.truth_error_m is None else math.sqrt(float(np.mean(self.truth_error_m**2)))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TruePath:
-    """Where the robot was, scan by scan.
-
-    Attributes
-    ----------
-    path : Path
-        The log that says so.
-    stamps : (n,) array [s]
-    T_world_base : (n, 3) array
-    """
-
-    path: Path
-    stamps: FloatArray
-    T_world_base: FloatArray
-
-
-def read_truth(log: LaserLog) -> TruePath:
-    """Collect the true poses of a log.
-
-    Raises
-    ------
-    InputError
-        A scan of it has none.
-    """
-    stamps, poses = [], []
-    for scan in log:
-        if scan.truth is None or scan.truth.T_world_base is None:
-            raise InputError(f"{log.path}: has no true poses; name an .npz log that has the key `poses`")
-        stamps.append(scan.stamp)
-        poses.append(scan.truth.T_world_base)
-    return TruePath(path=log.path, stamps=np.array(stamps), T_world_base=np.array(poses).reshape(-1, 3))
 
 
 def compare(
     folders: Sequence[RunFolder], *, relations: Relations | None = None, truth: TruePath | None = None
 ) -> list[ComparedRun]:
-    """Lay several runs over one log into the map of the first, and judge them.
+    """Transform several runs over one log into the map of the first, and compute their errors.
 
     Parameters
     ----------
     folders : sequence of RunFolder
-        At least one; a run that was cut short is compared as far as it goes.
+        At least one; an interrupted run is compared over its own length.
     relations : Relations, optional
     truth : TruePath, optional
 
@@ -128,7 +95,7 @@ def compare(
         error_m = error_deg = None
         ate_rmse_m = math.nan
         if truth is not None:
-            T_world_base = _truth_of(folder, truth)
+            T_world_base = true_poses_of(folder, truth)
             ate_rmse_m = absolute_error(folder.T_map_base, T_world_base).translation_m.rmse
             T_ref_world = _start_to_start(reference.T_map_base, T_world_base)
             error_m, error_deg = _apart(se2.compose(T_ref_world, T_world_base), T_ref_base)
@@ -152,24 +119,12 @@ def compare(
 
 
 def true_path(runs: Sequence[ComparedRun], truth: TruePath) -> FloatArray:
-    """Give the true poses (n, 3) in the map of the first run, started where that run does."""
+    """Give the true poses (n, 3) in the map of the first run, aligned at its start."""
     return se2.compose(_start_to_start(runs[0].folder.T_map_base, truth.T_world_base), truth.T_world_base)
 
 
-def moving_points(folder: RunFolder, log: LaserLog) -> list[FloatArray]:
-    """Give the points (k, 2) [m] of each scan of a run that move by its final labels, in its own map.
-
-    Raises
-    ------
-    InputError
-        The log is not that of the run.
-    """
-    points = (end_points(folder, row, scan) for row, scan in enumerate(scans_of(folder, log)))
-    return [of_scan[is_moving] for of_scan, is_moving in points]
-
-
 def _names(folders: Sequence[RunFolder]) -> list[str]:
-    """Call the runs by their methods, or where those are not different by their folders."""
+    """Name the runs by their methods, or where those are not unique by their folders."""
     paths = [folder.path.resolve() for folder in folders]
     twice = [folder.path for folder, path in zip(folders, paths, strict=True) if paths.count(path) > 1]
     if twice:
@@ -181,7 +136,7 @@ def _names(folders: Sequence[RunFolder]) -> list[str]:
 
 
 def _start_to_start(T_ref_base: FloatArray, T_own_base: FloatArray) -> FloatArray:
-    """Give the (3,) transform that lays the first of the poses `T_own_base` (n, 3) onto that of `T_ref_base`."""
+    """Give the (3,) transform that carries the first of the poses `T_own_base` (n, 3) onto that of `T_ref_base`."""
     return se2.compose(T_ref_base[0], se2.inverse(T_own_base[0]))
 
 
@@ -189,12 +144,3 @@ def _apart(T_a: FloatArray, T_b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Distances [m] and absolute angles [degrees] between poses (n, 3)."""
     between = se2.between(T_a, T_b)
     return np.hypot(between[:, 0], between[:, 1]), np.degrees(np.abs(between[:, 2]))
-
-
-def _truth_of(folder: RunFolder, truth: TruePath) -> FloatArray:
-    n = len(folder.stamps)
-    if n > len(truth.stamps) or not have_same_times(folder.stamps, truth.stamps):
-        raise InputError(
-            f"{truth.path}: its scans have other times than those of {folder.path}; name the log of these runs"
-        )
-    return truth.T_world_base[:n]

@@ -1,0 +1,49 @@
+"""What a result says about the log that it was computed from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypedDict
+
+
+class SourceInfo(TypedDict, total=False):
+    """What of its file a log uses; a log that does not know a key leaves it out.
+
+    Attributes
+    ----------
+    scan_topic, odom_topic : str
+        Of a bag.
+    laser_pose : (x, y, theta)
+        Laser in base [m, m, rad].
+    laser_pose_from : str
+        Where that comes from; "given" where the user gave it.
+    poses : str
+        "estimates" where the log's true poses are those of a run.
+    """
+
+    scan_topic: str
+    odom_topic: str
+    laser_pose: tuple[float, float, float]
+    laser_pose_from: str
+    poses: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogInfo:
+    """A log without its scans.
+
+    Attributes
+    ----------
+    path : Path or None
+        None for a source without a file.
+    source : mapping
+        See `SourceInfo`.
+    warnings : tuple of str
+    n_scans : int or None
+        Scan records in the file; None where that is not known.
+    """
+
+    path: Path | None = None
+    source: Mapping[str, object] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    n_scans: int | None = None

@@ -1,0 +1,45 @@
+"""``covariances.npz``: the covariance of each pose, and the scan of each graph node."""
+
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import RunResult
+from slammot_graph.core.types import FloatArray
+from slammot_graph.run_folder.atomic import write_arrays
+
+
+def write_covariances(path: Path, result: RunResult) -> None:
+    """Write `stamps` (n,) [s], `cov_map` (n, 3, 3) of the poses of ``trajectory.tum`` and `node_scans` (m,).
+
+    The vertex k of ``graph.g2o`` is the scan ``node_scans[k]``, counted from 0, which is also its line in
+    ``trajectory.tum``.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    write_arrays(
+        path, stamps=result.stamps, cov_map=result.cov_map, node_scans=result.node_scans.astype(np.int64)
+    )
+
+
+def read_covariances(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read `stamps` (n,) [s] and `cov_map` (n, 3, 3), right perturbation, order (x, y, theta).
+
+    Raises
+    ------
+    InputError
+        The file is not what a run writes.
+    """
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            stamps, cov_map = np.asarray(file["stamps"], float), np.asarray(file["cov_map"], float)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, BadZipFile):
+        raise InputError(f"{path}: not an .npz file of `stamps` and `cov_map`; run it again") from None
+    if cov_map.shape != (len(stamps), 3, 3):
+        raise InputError(f"{path}: `cov_map` has shape {cov_map.shape}, not {(len(stamps), 3, 3)}")
+    return stamps, cov_map

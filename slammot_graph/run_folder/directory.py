@@ -1,0 +1,72 @@
+"""The folder itself: which files belong to a run, and how a new run gets an empty one."""
+
+import json
+import os
+from pathlib import Path
+
+from slammot_graph.core.errors import InputError
+from slammot_graph.run_folder.atomic import temporary_path, write_errors
+
+RUN_FILES = (
+    "trajectory.tum",
+    "points.npz",
+    "tracks.csv",
+    "map.pgm",
+    "map.yaml",
+    "graph.g2o",
+    "covariances.npz",
+    "run.rrd",
+    "overview.png",
+    "summary.json",
+)
+"""All that a run folder may hold; without a graph there is no ``graph.g2o``, without a recording no ``run.rrd``."""
+
+_FIRST_FILES = ("run.rrd", "trajectory.tum")  # an interrupted run leaves at least one of them
+
+
+def prepare_output(output: str | Path, *, overwrite: bool) -> None:
+    """Make an empty run folder, with the folders above it.
+
+    Parameters
+    ----------
+    output : str or Path
+    overwrite : bool
+        Remove the files of a run that is already there; other files in the folder stay.
+
+    Raises
+    ------
+    InputError
+        `output` is a file, holds a run and `overwrite` is not set, holds something that is no run, or cannot be
+        written.
+    """
+    output = Path(output)
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output}: is a file, not a folder; name another --output")
+    with write_errors(output, "name another --output"):
+        output.mkdir(parents=True, exist_ok=True)
+        names = sorted(path.name for path in output.iterdir())
+    if names and not _is_run_folder(output, names):
+        raise InputError(
+            f"{output}: holds {names[0]!r} and is no run folder; name a new or an empty folder as --output"
+        )
+    if names and not overwrite:
+        raise InputError(
+            f"{output}: holds a run already; pass --overwrite (overwrite=True) to replace it,"
+            " or name another --output"
+        )
+    with write_errors(output, "remove it yourself, or name another --output"):
+        for name in RUN_FILES:
+            (output / name).unlink(missing_ok=True)
+            temporary_path(output / name).unlink(missing_ok=True)
+    if not os.access(output, os.W_OK | os.X_OK):
+        raise InputError(f"{output}: cannot be written (Permission denied); name another --output")
+
+
+def _is_run_folder(output: Path, names: list[str]) -> bool:
+    """Whether a run was written here, or interrupted before its summary."""
+    try:
+        summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        ours = {*RUN_FILES, *(temporary_path(output / name).name for name in RUN_FILES)}
+        return ours.issuperset(names) and any(name in names for name in _FIRST_FILES)
+    return isinstance(summary, dict) and {"method", "n_scans"} <= summary.keys()

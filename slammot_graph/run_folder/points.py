@@ -1,0 +1,67 @@
+"""``points.npz``: the labels of all beams."""
+
+import zlib
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.results import RunResult
+from slammot_graph.core.saved_run import PointLabels
+from slammot_graph.run_folder.atomic import write_arrays
+
+_KINDS = {"stamps": "f", "is_valid": "b", "is_moving": "b", "is_moving_online": "b", "p_moving": "f"}
+
+
+def write_points(path: Path, result: RunResult) -> None:
+    """Write the labels of a run's beams.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    write_arrays(
+        path,
+        stamps=result.stamps,
+        is_valid=result.is_valid,
+        is_moving=result.is_moving,
+        is_moving_online=result.is_moving_online,
+        p_moving=np.asarray(result.p_moving, dtype=np.float16),
+    )
+
+
+def read_points(path: str | Path) -> PointLabels:
+    """Read the labels of a run's beams.
+
+    Raises
+    ------
+    InputError
+        The file is missing or is not what a run writes; the text names the fault.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            missing = [name for name in _KINDS if name not in file]
+            if missing:
+                raise InputError(f"{path}: has no array {missing[0]!r}; is it the points.npz of a run?")
+            arrays = {name: np.asarray(file[name]) for name in _KINDS}
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
+    except (ValueError, EOFError, BadZipFile, zlib.error, TypeError, AttributeError):
+        raise InputError(f"{path}: not a complete .npz file of plain arrays; run it again") from None
+    shape = arrays["is_valid"].shape
+    for name, array in arrays.items():
+        expected = shape[:1] if name == "stamps" else shape
+        if len(shape) != 2 or array.shape != expected or array.dtype.kind != _KINDS[name]:
+            raise InputError(
+                f"{path}: array {name!r} is {array.dtype} {array.shape}, which does not fit points of a run"
+            )
+    return PointLabels(
+        stamps=arrays["stamps"].astype(np.float64),
+        is_valid=arrays["is_valid"],
+        is_moving=arrays["is_moving"],
+        is_moving_online=arrays["is_moving_online"],
+        p_moving=arrays["p_moving"].astype(np.float16),
+    )
