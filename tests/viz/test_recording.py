@@ -5,7 +5,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -629,3 +629,26 @@ def test_maps_are_asked_for_less_often_in_a_longer_run(tmp_path: Path) -> None:
     log.close()
     assert 20 <= len(asked) <= 45
     assert sum(asked) < 12 * 2000
+
+
+def test_recording_does_not_change_the_estimate(tmp_path: Path) -> None:
+    """What the recording asks the graph must not move it: the same numbers with and without, to the last bit."""
+    plain = Run(ring_log(3)).complete()
+    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(ring_log(3))
+    for step in run:
+        _record(run, log, step)
+    log.close()
+    assert sum(edge.kind == "closure" for edge in plain.edges) >= 5
+    assert_same_results(run.result(), plain)
+
+
+def assert_same_results(result: RunResult, expected: RunResult) -> None:
+    for f in fields(RunResult):
+        a, b = getattr(result, f.name), getattr(expected, f.name)
+        if isinstance(b, np.ndarray):
+            np.testing.assert_array_equal(a, b, err_msg=f.name)
+    np.testing.assert_array_equal(result.grid.p_occupied, expected.grid.p_occupied)
+    for edge, other in zip(result.edges, expected.edges, strict=True):
+        assert (edge.kind, edge.from_node, edge.to_node) == (other.kind, other.from_node, other.to_node)
+        np.testing.assert_array_equal(edge.T_from_to, other.T_from_to)
+        np.testing.assert_array_equal(edge.information, other.information)
