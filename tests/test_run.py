@@ -230,3 +230,55 @@ def test_a_configuration_makes_its_pipeline() -> None:
     assert isinstance(pipeline, Pipeline)
     pipeline.close()
     assert isinstance(make_pipeline(METHODS["kiss-icp"].config), KissIcpPipeline)
+
+
+def test_each_iteration_has_a_result_of_its_own() -> None:
+    """Once there were 10 stamps with 60 poses: the second run's scans with the first one's end."""
+    run = Run(drive(20))
+    first = run.complete()
+    steps = iter(run)
+    for _ in range(5):
+        next(steps)
+    result = run.result()
+    for name in ("stamps", "T_map_base", "cov_map", "is_moving", "is_moving_online", "nis"):
+        assert len(getattr(result, name)) == 5, name
+    assert not result.is_complete
+    others = iter(run)  # ends the one before
+    next(others)
+    assert len(run.result().T_map_base) == 1
+    assert next(steps, None) is None
+    again = run.complete()
+    np.testing.assert_array_equal(again.T_map_base, first.T_map_base)
+    assert again.is_complete
+
+
+def test_a_result_is_there_at_any_time_and_does_not_change_the_run() -> None:
+    assert len(Run(drive(3)).result().T_map_base) == 0
+    plain, watched = Run(drive(60)), Run(drive(60))
+    for k, _ in enumerate(watched, start=1):
+        result = watched.result()
+        assert result.T_map_base.shape == (k, 3)
+        assert not result.is_complete
+    expected = plain.complete()
+    for name in ("T_map_base", "cov_map", "is_moving", "nodes", "tracks", "p_moving"):
+        np.testing.assert_array_equal(getattr(watched.result(), name), getattr(expected, name))
+
+
+def test_a_run_left_early_ends_with_its_context() -> None:
+    with Run(drive(30)) as run:
+        steps = iter(run)
+        for _ in range(4):
+            next(steps)
+    assert next(steps, None) is None
+    assert len(run.result().T_map_base) == 4
+    run.close()
+
+
+@pytest.mark.parametrize("method", ["graph", "docpfo", "odometry", "kiss-icp"])
+def test_a_live_source_needs_no_length_and_is_read_once(method: str) -> None:
+    log = drive(12)
+    result = Run((scan for scan in log), method).complete()
+    np.testing.assert_array_equal(result.stamps, [scan.stamp for scan in log])
+    assert result.n_skipped == 0
+    with pytest.raises(InputError, match="the source gave no usable scan"):
+        Run(iter(())).complete()
