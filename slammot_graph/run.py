@@ -1,8 +1,7 @@
 """A whole run: a source of scans through a method, step by step, and its result at any time."""
 
 import weakref
-from collections.abc import Generator, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from types import TracebackType
@@ -13,7 +12,7 @@ import numpy as np
 from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
-from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.core.results import GridMap, RunResult, StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
@@ -94,6 +93,8 @@ class Run:
         ------
         InputError
             No scan of the log was usable.
+        Exception
+            Whatever ended the run, or went wrong at its end; `result` has what was computed nevertheless.
         """
         self.close()
         if self._session.is_started:
@@ -112,18 +113,26 @@ class Run:
             if not session.kept.scans:
                 raise InputError(self._why_nothing())
             session.is_complete = True
-        except BaseException:
-            with suppress(SlammotError):  # the error that ended the run is the one to tell
-                self._settle(session)
+        except BaseException as error:
+            errors = self._settle(session)
+            if errors and isinstance(error, GeneratorExit):
+                raise errors[0] from None
+            for other in errors:  # the error that ended the run is the one to tell
+                error.add_note(f"at the end of the run: {other}")
             raise
-        self._settle(session)
+        errors = self._settle(session)
+        if errors:
+            raise errors[0]
 
-    def _settle(self, session: "_Session") -> None:
-        """Compute what there is at the end, and end the pipeline."""
+    def _settle(self, session: "_Session") -> list[Exception]:
+        """Compute what there is at the end, and end the pipeline; returns what went wrong."""
+        errors: list[Exception] = []
         try:
             session.outcome = _conclude(session)
+            errors += session.outcome.failures.values()
         finally:
             session.pipeline.close()
+        return errors
 
     def _why_nothing(self) -> str:
         """Say why there was no scan."""
@@ -143,12 +152,18 @@ class Run:
         """Give the result of all scans so far.
 
         While the run goes on, each call optimises the graph's copy, renders the map and labels all scans anew, which
-        does not change the run.
+        does not change the run. What cannot be computed is told in `RunResult.failures`.
         """
         return self._result(self._session)
 
     def close(self) -> None:
-        """End the run if it has not ended yet; may be called twice."""
+        """End the run if it has not ended yet; may be called twice.
+
+        Raises
+        ------
+        Exception
+            Something went wrong at the end; `result` has what was computed nevertheless.
+        """
         steps = None if self._steps is None else self._steps()
         if steps is not None:
             steps.close()
@@ -200,7 +215,8 @@ class Run:
             n_failed_matches=kept.n_failed,
             n_skipped=len(_skipped(self.log)),
             events=tuple(kept.events),
-            is_complete=session.is_complete,
+            is_complete=session.is_complete and not outcome.failures,
+            failures=tuple(f"{what}: {error}" for what, error in outcome.failures.items()),
         )
 
 
@@ -261,6 +277,16 @@ class _Kept:
             row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]
             self.tracks.append([float(value) for value in (*row, step.scan.index)])
 
+    def online_estimate(self) -> FinalEstimate:
+        """Give the poses as they were estimated at the time, without a graph."""
+        return FinalEstimate(
+            T_map_base=np.array([scan.T_map_base for scan in self.scans]).reshape(-1, 3),
+            cov_map=np.array([scan.cov_map for scan in self.scans]).reshape(-1, 3, 3),
+            node_scans=np.empty(0, dtype=np.int64),
+            nodes=np.empty((0, 3)),
+            edges=(),
+        )
+
     def moving_points(self, T_map_base: FloatArray) -> FloatArray:
         """(m, 2) moving points of all scans by the labels of the time, map frame."""
         found = [se2.transform(T_map_base[k], points) for k, points in self.moving_base]
@@ -269,12 +295,13 @@ class _Kept:
 
 @dataclass(kw_only=True, eq=False)
 class _Outcome:
-    """What is computed at the end of a run from all of it."""
+    """What is computed at the end of a run from all of it, and what of that failed and why."""
 
     final: FinalEstimate
     labels: list[BoolArray] | None
     grid: GridMap
     moving_points: FloatArray
+    failures: dict[str, Exception]
 
 
 @dataclass(eq=False)
@@ -289,11 +316,21 @@ class _Session:
 
 
 def _conclude(session: _Session) -> _Outcome:
-    """Compute the optimised trajectory, the final labels and the map."""
+    """Compute the optimised trajectory, the final labels and the map; where one fails, what is known without it."""
     pipeline, kept = session.pipeline, session.kept
-    final = pipeline.final()
+    failures: dict[str, Exception] = {}
+
+    def attempt(what: str, compute: Callable[[], T], fallback: Callable[[], T]) -> T:
+        try:
+            return compute()
+        except Exception as error:  # what was computed before must not be lost with it
+            failures[what] = error
+            return fallback()
+
+    final = attempt("optimised trajectory", pipeline.final, kept.online_estimate)
     T_map_base = final.T_map_base
-    labels, grid = pipeline.final_labels(T_map_base), pipeline.render_map()
+    labels = attempt("final labels", lambda: pipeline.final_labels(T_map_base), lambda: None)
+    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.grid.config.resolution_m))
     n = len(kept.scans)
     # a step that was cut short may have left a pose or a label more
     labels = None if labels is None else labels[:n]
@@ -303,9 +340,13 @@ def _conclude(session: _Session) -> _Outcome:
             return pipeline.moving_points(T_map_base, labels)
         return kept.moving_points(T_map_base)
 
-    moving_points = find_moving()
+    moving_points = attempt("moving points", find_moving, lambda: kept.moving_points(T_map_base))
     final = replace(final, T_map_base=T_map_base[:n], cov_map=final.cov_map[:n])
-    return _Outcome(final=final, labels=labels, grid=grid, moving_points=moving_points)
+    return _Outcome(final=final, labels=labels, grid=grid, moving_points=moving_points, failures=failures)
+
+
+def _no_map(resolution_m: float) -> GridMap:
+    return GridMap(p_occupied=np.full((1, 1), np.nan), resolution_m=resolution_m, origin=np.zeros(2))
 
 
 def _skipped(log: Any) -> Sequence[SkippedScan]:

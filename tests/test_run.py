@@ -1,5 +1,7 @@
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.logs.source import SkippedScan
@@ -15,6 +18,7 @@ from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.run import Run, make_pipeline
+from slammot_graph.run_folder.writer import write_run_folder
 from tests.rooms import LASER, ListLog, carried, covered, drive, errors, truth_from_start
 
 
@@ -282,3 +286,71 @@ def test_a_live_source_needs_no_length_and_is_read_once(method: str) -> None:
     assert result.n_skipped == 0
     with pytest.raises(InputError, match="the source gave no usable scan"):
         Run(iter(())).complete()
+
+
+@pytest.mark.parametrize(
+    ("broken", "what"),
+    [
+        ("final", "optimised trajectory"),
+        ("final_labels", "final labels"),
+        ("render_map", "map"),
+        ("moving_points", "moving points"),
+    ],
+)
+def test_a_failing_end_keeps_what_was_computed_and_tells_why(
+    broken: str, what: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    plain = Run(drive(40)).complete()
+    monkeypatch.setattr(Pipeline, broken, fail)
+    run = Run(drive(40))
+    steps = []
+    with pytest.raises(OSError, match="no space left"):
+        for step in run:
+            steps.append(step)  # noqa: PERF402 - the error comes after the last
+    monkeypatch.undo()
+    result = run.result()
+    assert result.failures == (f"{what}: no space left",)
+    assert not result.is_complete
+    assert run.is_complete
+    kept_as_it_was = ["stamps", "is_valid", "is_moving_online", "tracks", "nis", "p_moving"]
+    for name in kept_as_it_was + (["T_map_base", "cov_map", "nodes"] if broken != "final" else []):
+        np.testing.assert_array_equal(getattr(result, name), getattr(plain, name), err_msg=name)
+    if broken == "final":  # the poses of the time
+        np.testing.assert_array_equal(result.T_map_base, [step.T_map_base for step in steps])
+        np.testing.assert_array_equal(result.cov_map, [step.cov_map for step in steps])
+    if broken == "final_labels":
+        np.testing.assert_array_equal(result.is_moving, result.is_moving_online)
+    assert np.isfinite(result.grid.p_occupied).any() == (broken != "render_map")
+    write_run_folder(tmp_path / "run", result)  # also such a result can be written
+
+
+def test_the_first_error_is_told_and_that_of_the_end_is_its_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    def source() -> Iterator[Scan]:
+        yield from drive(5)
+        raise InputError("cut short")
+
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Pipeline, "render_map", fail)
+    run = Run(source())
+    with pytest.raises(InputError, match="cut short") as caught:
+        run.complete()
+    assert caught.value.__notes__ == ["at the end of the run: no space left"]
+    assert len(run.result().stamps) == 5
+
+
+def test_whoever_leaves_a_run_early_is_told_that_its_end_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Pipeline, "render_map", fail)
+    run = Run(drive(5))
+    steps = iter(run)
+    next(steps)
+    with pytest.raises(OSError, match="no space left"):
+        run.close()
+    assert len(run.result().T_map_base) == 1

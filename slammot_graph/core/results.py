@@ -269,7 +269,9 @@ class RunResult:
     n_skipped : int
     events : tuple of (scan index, text)
     is_complete : bool
-        False when the run was interrupted.
+        False when the run was interrupted, or not all of its end could be computed.
+    failures : tuple of str
+        What could not be computed at the end, and why: "map: ..."; in its place is what is known without it.
     """
 
     method: str
@@ -298,3 +300,4 @@ class RunResult:
     n_skipped: int
     events: tuple[tuple[int, str], ...] = field(default=())
     is_complete: bool = True
+    failures: tuple[str, ...] = ()
