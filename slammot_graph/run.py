@@ -200,6 +200,7 @@ class Run:
             p_moving=_padded([scan.p_moving for scan in scans], fill=np.nan),
             moving_points=outcome.moving_points,
             tracks=np.array(kept.tracks).reshape(-1, 10),
+            is_track_seen=np.array(kept.is_track_seen, dtype=np.bool_),
             grid=outcome.grid,
             node_scans=final.node_scans,
             nodes=final.nodes,
@@ -246,6 +247,7 @@ class _Kept:
         self.scans: list[_KeptScan] = []
         self.moving_base: list[tuple[int, np.ndarray]] = []
         self.tracks: list[list[float]] = []
+        self.is_track_seen: list[bool] = []
         self.n_failed = 0
         self.events: list[tuple[int, str]] = []
 
@@ -276,6 +278,7 @@ class _Kept:
             (xx, xy), (_, yy) = track.position_cov
             row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]
             self.tracks.append([float(value) for value in (*row, step.scan.index)])
+            self.is_track_seen.append(len(track.beams) > 0)
 
     def online_estimate(self) -> FinalEstimate:
         """Give the poses as they were estimated at the time, without a graph."""

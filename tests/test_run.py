@@ -66,14 +66,17 @@ def test_moving_points_are_those_of_the_final_labels(method: str) -> None:
 
 
 def test_tracks_are_rows_of_plain_numbers() -> None:
-    run, rows = Run(drive(60)), []
+    run, rows, is_seen = Run(drive(60)), [], []
     for step in run:
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             place = [*track.position, *track.velocity, xx, xy, yy]
             rows.append([step.scan.stamp, track.track_id, *place, step.scan.index])
+            is_seen.append(len(track.beams) > 0)
     assert len(rows) > 10
     np.testing.assert_array_equal(run.result().tracks, rows)
+    np.testing.assert_array_equal(run.result().is_track_seen, is_seen)
+    assert set(is_seen) == {True, False}
 
 
 @pytest.mark.parametrize("n", [1, 12])

@@ -247,6 +247,8 @@ class RunResult:
         All points that move, by the final labels, map frame.
     tracks : (k, 10) array
         Columns stamp, id, x, y, vx, vy, var_x, cov_xy, var_y, scan index; map frame.
+    is_track_seen : (k,) bool array
+        Whether beams of that scan were assigned to the track; else its row was only predicted.
     grid : GridMap
     node_scans : (m,) int array
         Scan index of each graph node.
@@ -286,6 +288,7 @@ class RunResult:
     p_moving: Any
     moving_points: FloatArray
     tracks: FloatArray
+    is_track_seen: BoolArray
     grid: GridMap
     node_scans: IntArray
     nodes: FloatArray
