@@ -10,7 +10,16 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
-from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResult, TrackState
+from slammot_graph.core.events import Event, EventKind, Severity
+from slammot_graph.core.results import (
+    ClosureAttempt,
+    ClosureStatus,
+    GraphEdge,
+    GridMap,
+    MatchResult,
+    StepResult,
+    TrackState,
+)
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
@@ -243,7 +252,7 @@ class Pipeline:
             innovation_nis=math.nan if match is None else match.nis,
             tracks=tracks,
             node=node,
-            events=tuple(events),
+            events=_typed(events, scan.index, self.localizer.closures),
             stage_ms=watch.read(),
             closures=self.localizer.closures,
         )
@@ -458,6 +467,33 @@ def _make_localizer(config: PipelineConfig) -> Localizer:
             closure=config.closure,
         ),
     )
+
+
+def _typed(texts: list[str], scan: int, closures: tuple[ClosureAttempt, ...]) -> tuple[Event, ...]:
+    """Events of a commit; the last ones are those of its closures."""
+    events = []
+    for text in texts[: len(texts) - len(closures)]:
+        kind, reason = text.split(": ", 1)
+        if kind == "match failed":
+            events.append(Event(kind="match failed", severity="warning", scan=scan, data={"reason": reason}))
+        else:
+            reason = reason.removesuffix(", a new local map begins here")
+            events.append(Event(kind="lost", severity="error", scan=scan, data={"reason": reason}))
+    for attempt in closures:
+        data = {
+            "target_node": attempt.target_node,
+            "source_node": attempt.source_node,
+            "reason": attempt.reason,
+        }
+        kinds: dict[ClosureStatus, tuple[EventKind, Severity]] = {
+            "accepted": ("closure accepted", "info"),
+            "waiting": ("closure waiting", "info"),
+            "refused": ("closure refused", "info"),
+            "outlier": ("closure rejected", "warning"),
+        }
+        closure_kind, severity = kinds[attempt.status]
+        events.append(Event(kind=closure_kind, severity=severity, scan=scan, data=data))
+    return tuple(events)
 
 
 _NOWHERE: FloatArray = np.empty((0, 2))

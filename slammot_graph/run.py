@@ -19,6 +19,7 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import Config, get_method
+from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
 
 T = TypeVar("T")
@@ -47,6 +48,8 @@ class Run:
         In place of the configuration's `max_range_m`.
     max_scans : int, optional
         Take the log's first usable scans only, at least 1.
+    observers : iterable of Observer
+        Are shown each step; they cannot change the estimate.
 
     Examples
     --------
@@ -64,6 +67,7 @@ class Run:
         config: Config | None = None,
         max_range_m: float | None = None,
         max_scans: int | None = None,
+        observers: Iterable[Observer] = (),
     ) -> None:
         if max_scans is not None and max_scans < 1:
             raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
@@ -73,6 +77,7 @@ class Run:
         if max_range_m is not None:
             self.config = replace(self.config, max_range_m=max_range_m)
         self.max_scans = max_scans
+        self._observers = Observers(observers)
         self._session = _Session(make_pipeline(self.config))
         self._steps: weakref.ref[Generator[StepResult, None, None]] | None = None
 
@@ -106,9 +111,12 @@ class Run:
 
     def _run(self, session: "_Session") -> Generator[StepResult, None, None]:
         try:
+            self._observers.on_start(self._info())
+            session.is_observed = True
             for scan in islice(self.log, self.max_scans):
                 step = session.pipeline.step(scan)
                 session.kept.keep(step)
+                self._observers.on_step(step, session.pipeline)
                 yield step
             if not session.kept.scans:
                 raise InputError(self._why_nothing())
@@ -125,14 +133,27 @@ class Run:
             raise errors[0]
 
     def _settle(self, session: "_Session") -> list[Exception]:
-        """Compute what there is at the end, and end the pipeline; returns what went wrong."""
+        """Compute what there is at the end, show it to the observers and close all; returns what went wrong."""
         errors: list[Exception] = []
         try:
             session.outcome = _conclude(session)
             errors += session.outcome.failures.values()
+            if session.is_observed:
+                errors += self._observers.on_finish(self._result(session))
         finally:
+            errors += self._observers.close()
             session.pipeline.close()
         return errors
+
+    def _info(self) -> RunInfo:
+        n_scans = getattr(self.log, "n_scans", None)
+        limits = [n for n in (n_scans, self.max_scans) if n is not None]
+        return RunInfo(
+            method=self.method,
+            config=to_plain(self.config),
+            log_path=getattr(self.log, "path", None),
+            n_scans=min(limits) if n_scans is not None else None,
+        )
 
     def _why_nothing(self) -> str:
         """Say why there was no scan."""
@@ -273,7 +294,7 @@ class _Kept:
             )
         )
         self.n_failed += step.match is not None and step.match.status == "failed"
-        self.events += [(step.scan.index, text) for text in step.events]
+        self.events += [(event.scan, event.text) for event in step.events]
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]
@@ -315,6 +336,7 @@ class _Session:
     kept: _Kept = field(default_factory=_Kept)
     outcome: _Outcome | None = None
     is_started: bool = False
+    is_observed: bool = False
     is_complete: bool = False
 
 

@@ -302,7 +302,7 @@ def test_after_failures_in_a_row_a_new_local_map_begins() -> None:
     assert [len(events) for events in told.values()] == [1, 1, 2]
     last = max(told)
     assert min(told) == 25
-    assert told[last][1] == "lost: 3 matches failed in a row, a new local map begins here"
+    assert told[last][1].text == "lost: 3 matches failed in a row, a new local map begins here"
     assert steps[last].node is not None
     assert steps[last + 1].match is not None
     assert steps[last + 1].match.status == "converged"
@@ -314,7 +314,10 @@ def test_a_covered_laser_loses_nothing_however_long() -> None:
     log = covered(drive(60), *range(30, 45))
     pipeline, steps = run(log, replace(GRAPH, n_lost=3))
     assert [step.scan.index for step in steps if step.events] == list(range(30, 45))
-    assert all(step.events == ("match failed: only 0 points found a partner",) for step in steps[30:45])
+    assert all(
+        [event.text for event in step.events] == ["match failed: only 0 points found a partner"]
+        for step in steps[30:45]
+    )
     assert all(step.node is None for step in steps[30:45])
     truth = truth_from_start(log)
     assert max(errors(truth[45:], pipeline.final().T_map_base[45:])) < 0.03
