@@ -1,23 +1,30 @@
-"""A whole run: a log through a method, step by step, and its result at any time."""
+"""A whole run: a source of scans through a method, step by step, and its result at any time."""
 
-from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
+import weakref
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
+from types import TracebackType
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
-from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.core.events import Event
-from slammot_graph.core.results import RunResult, StepResult
+from slammot_graph.core.results import GridMap, RunResult, StepResult
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
-from slammot_graph.logs import LaserLog, describe
+from slammot_graph.logs import describe
+from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import Config, get_method
+from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
+
+T = TypeVar("T")
 
 
 def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
@@ -26,11 +33,15 @@ def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
 
 
 class Run:
-    """Iterate it to run; ask for the `result` when the iteration has ended, early or not.
+    """Iterate it to run; ask for the `result` at any time, also while it runs.
+
+    Each iteration is a run of its own from the source's beginning and ends the one before; `result` is that of the
+    latest. As a context manager it ends a run that was left early.
 
     Parameters
     ----------
-    log : LaserLog
+    log : iterable of Scan
+        A `LaserLog`, or any other source of scans; a live one need not know its length and is not read twice.
     method : str
         A name of the ladder.
     config : PipelineConfig or KissIcpConfig, optional
@@ -39,6 +50,8 @@ class Run:
         In place of the configuration's `max_range_m`.
     max_scans : int, optional
         Take the log's first usable scans only, at least 1.
+    observers : iterable of Observer
+        Are shown each step; they cannot change the estimate.
 
     Examples
     --------
@@ -50,12 +63,13 @@ class Run:
 
     def __init__(
         self,
-        log: LaserLog,
+        log: Iterable[Scan],
         method: str = "graph",
         *,
         config: Config | None = None,
         max_range_m: float | None = None,
         max_scans: int | None = None,
+        observers: Iterable[Observer] = (),
     ) -> None:
         if max_scans is not None and max_scans < 1:
             raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
@@ -65,10 +79,19 @@ class Run:
         if max_range_m is not None:
             self.config = replace(self.config, max_range_m=max_range_m)
         self.max_scans = max_scans
-        self.pipeline = make_pipeline(self.config)
-        self.is_complete = False
-        self._kept = _Kept()
-        self._final: FinalEstimate | None = None
+        self._observers = Observers(observers)
+        self._session = _Session(make_pipeline(self.config))
+        self._steps: weakref.ref[Generator[StepResult, None, None]] | None = None
+
+    @property
+    def pipeline(self) -> Pipeline | KissIcpPipeline:
+        """What computes the latest run."""
+        return self._session.pipeline
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the latest run took all scans."""
+        return self._session.is_complete
 
     def __iter__(self) -> Iterator[StepResult]:
         """Run the log through; each scan's result comes as soon as it is there.
@@ -77,43 +100,70 @@ class Run:
         ------
         InputError
             No scan of the log was usable.
+        Exception
+            Whatever ended the run, or went wrong at its end; `result` has what was computed nevertheless.
         """
-        self.pipeline = make_pipeline(self.config)
-        self.is_complete = False
-        self._kept = _Kept()
+        self.close()
+        if self._session.is_started:
+            self._session = _Session(make_pipeline(self.config))
+        self._session.is_started = True
+        steps = self._run(self._session)
+        self._steps = weakref.ref(steps)
+        return steps
+
+    def _run(self, session: "_Session") -> Generator[StepResult, None, None]:
         try:
+            self._observers.on_start(self._info())
+            session.is_observed = True
             for scan in islice(self.log, self.max_scans):
-                step = self.pipeline.step(scan)
-                self._kept.keep(step)
+                step = session.pipeline.step(scan)
+                session.kept.keep(step)
+                self._observers.on_step(step, session.pipeline)
                 yield step
-            if not self._kept.stamps:
-                reasons = "; ".join(f"{s.place}: {s.reason}" for s in self.log.skipped[:3])
-                raise InputError(
-                    f"{self.log.path}: none of its {self.log.n_scans} scans is usable ({reasons})"
-                )
-            self.is_complete = True
-        except BaseException:
-            with suppress(SlammotError):  # the error that ended the run is the one to tell
-                self._settle()
+            if not session.kept.scans:
+                raise InputError(self._why_nothing())
+            session.is_complete = True
+        except BaseException as error:
+            errors = self._settle(session)
+            if errors and isinstance(error, GeneratorExit):
+                raise errors[0] from None
+            for other in errors:  # the error that ended the run is the one to tell
+                error.add_note(f"at the end of the run: {other}")
             raise
-        self._settle()
+        errors = self._settle(session)
+        if errors:
+            raise errors[0]
 
-    def _settle(self) -> None:
-        """Take the optimised trajectory and the map, and end the pipeline."""
+    def _settle(self, session: "_Session") -> list[Exception]:
+        """Compute what there is at the end, show it to the observers and close all; returns what went wrong."""
+        errors: list[Exception] = []
         try:
-            self._final = self.pipeline.final()
-            self._final_labels = self.pipeline.final_labels(self._final.T_map_base)
-            self._grid = self.pipeline.render_map()
-            self._moving_points = self._find_moving(self._final.T_map_base)
+            session.outcome = _conclude(session)
+            errors += session.outcome.failures.values()
+            if session.is_observed:
+                errors += self._observers.on_finish(self._result(session))
         finally:
-            self.pipeline.close()
+            errors += self._observers.close()
+            session.pipeline.close()
+        return errors
 
-    def _find_moving(self, T_map_base: FloatArray) -> FloatArray:
-        """(m, 2) moving points of all scans by the final labels, or else by those of the time; map frame."""
-        if isinstance(self.pipeline, Pipeline) and self._final_labels is not None:
-            return self.pipeline.moving_points(T_map_base, self._final_labels)
-        found = [se2.transform(T_map_base[k], points) for k, points in self._kept.moving_base]
-        return np.concatenate([np.empty((0, 2)), *found])
+    def _info(self) -> RunInfo:
+        n_scans = getattr(self.log, "n_scans", None)
+        limits = [n for n in (n_scans, self.max_scans) if n is not None]
+        return RunInfo(
+            method=self.method,
+            config=to_plain(self.config),
+            log_path=getattr(self.log, "path", None),
+            n_scans=min(limits) if n_scans is not None else None,
+        )
+
+    def _why_nothing(self) -> str:
+        """Say why there was no scan."""
+        reasons = "; ".join(f"{s.place}: {s.reason}" for s in _skipped(self.log)[:3])
+        path, n_scans = getattr(self.log, "path", None), getattr(self.log, "n_scans", None)
+        if path is None or n_scans is None:
+            return "the source gave no usable scan" + (f" ({reasons})" if reasons else "")
+        return f"{path}: none of its {n_scans} scans is usable ({reasons})"
 
     def complete(self) -> RunResult:
         """Run to the end and give the result."""
@@ -122,91 +172,214 @@ class Run:
         return self.result()
 
     def result(self) -> RunResult:
-        """Give the result of all scans so far; call it after the iteration has ended, early or not."""
-        kept, final = self._kept, self._final
-        if final is None:
-            raise SlammotError("no result: the run has not been iterated, or its pose graph failed")
-        n = len(kept.stamps)
-        online = _padded(kept.is_moving)
-        is_moving = online if self._final_labels is None else _padded(self._final_labels)
-        T_odom_base = np.array(kept.T_odom_base).reshape(-1, 3)
+        """Give the result of all scans so far.
+
+        While the run goes on, each call optimises the graph's copy, renders the map and labels all scans anew, which
+        does not change the run. What cannot be computed is told in `RunResult.failures`.
+        """
+        return self._result(self._session)
+
+    def close(self) -> None:
+        """End the run if it has not ended yet; may be called twice.
+
+        Raises
+        ------
+        Exception
+            Something went wrong at the end; `result` has what was computed nevertheless.
+        """
+        steps = None if self._steps is None else self._steps()
+        if steps is not None:
+            steps.close()
+        self._steps = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _result(self, session: "_Session") -> RunResult:
+        outcome = session.outcome or _conclude(session)
+        kept, final = session.kept, outcome.final
+        scans, n = kept.scans, len(kept.scans)
+        online = _padded([scan.is_moving for scan in scans])
+        is_moving = online if outcome.labels is None else _padded(outcome.labels)
+        T_odom_base = np.array([scan.T_odom_base for scan in scans]).reshape(-1, 3)
         start = se2.compose(final.T_map_base[0], se2.inverse(T_odom_base[0])) if n else se2.IDENTITY
-        stage_names = list(dict.fromkeys(name for stages in kept.stage_ms for name in stages))
+        stage_names = list(dict.fromkeys(name for scan in scans for name in scan.stage_ms))
+        T_world_base = [scan.T_world_base for scan in scans if scan.T_world_base is not None]
         return RunResult(
             method=self.method,
             config=to_plain(self.config),
-            stamps=np.array(kept.stamps),
+            stamps=np.array([scan.stamp for scan in scans], dtype=np.float64),
             T_map_base=final.T_map_base,
             T_map_odom_base=se2.compose(start[None, :], T_odom_base),
             cov_map=final.cov_map,
-            is_valid=_padded(kept.is_valid),
+            is_valid=_padded([scan.is_valid for scan in scans]),
             is_moving=is_moving,
             is_moving_online=online,
-            p_moving=_padded(kept.p_moving, fill=np.nan),
-            moving_points=self._moving_points,
+            p_moving=_padded([scan.p_moving for scan in scans], fill=np.nan),
+            moving_points=outcome.moving_points,
             tracks=np.array(kept.tracks).reshape(-1, 10),
-            grid=self._grid,
+            is_track_seen=np.array(kept.is_track_seen, dtype=np.bool_),
+            grid=outcome.grid,
             node_scans=final.node_scans,
             nodes=final.nodes,
             edges=final.edges,
             stage_ms={
-                name: np.array([stages.get(name, 0.0) for stages in kept.stage_ms]) for name in stage_names
+                name: np.array([scan.stage_ms.get(name, 0.0) for scan in scans]) for name in stage_names
             },
-            nis=np.array(kept.nis),
-            anchor_scans=np.array(kept.anchor_scans, dtype=np.int64),
-            T_anchor_base=np.array(kept.T_anchor_base).reshape(-1, 3),
-            cov_anchor_base=np.array(kept.cov_anchor_base).reshape(-1, 3, 3),
-            T_world_base=np.array(kept.T_world_base) if n and len(kept.T_world_base) == n else None,
+            nis=np.array([scan.nis for scan in scans], dtype=np.float64),
+            anchor_scans=np.array([scan.anchor_scan for scan in scans], dtype=np.int64),
+            T_anchor_base=np.array([scan.T_anchor_base for scan in scans]).reshape(-1, 3),
+            cov_anchor_base=np.array([scan.cov_anchor_base for scan in scans]).reshape(-1, 3, 3),
+            T_world_base=np.array(T_world_base) if n and len(T_world_base) == n else None,
             n_failed_matches=kept.n_failed,
-            n_skipped=len(self.log.skipped),
+            n_skipped=len(_skipped(self.log)),
             events=tuple(kept.events),
-            is_complete=self.is_complete,
+            is_complete=session.is_complete and not outcome.failures,
             log=describe(self.log),
+            failures=tuple(f"{what}: {error}" for what, error in outcome.failures.items()),
         )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _KeptScan:
+    """What of a step goes into the result; fields as of `StepResult`, of which it is a part."""
+
+    stamp: float
+    T_map_base: FloatArray
+    cov_map: FloatArray
+    T_odom_base: FloatArray
+    T_world_base: FloatArray | None
+    is_valid: BoolArray
+    is_moving: BoolArray
+    p_moving: np.ndarray
+    stage_ms: dict[str, float]
+    nis: float
+    anchor_scan: int
+    T_anchor_base: FloatArray
+    cov_anchor_base: FloatArray
+
+
 class _Kept:
-    """What of each step goes into the result."""
+    """What of all steps goes into the result."""
 
     def __init__(self) -> None:
-        self.stamps: list[float] = []
-        self.T_odom_base: list[FloatArray] = []
-        self.is_valid: list[BoolArray] = []
-        self.is_moving: list[BoolArray] = []
-        self.p_moving: list[np.ndarray] = []
+        self.scans: list[_KeptScan] = []
         self.moving_base: list[tuple[int, np.ndarray]] = []
         self.tracks: list[list[float]] = []
-        self.stage_ms: list[dict[str, float]] = []
-        self.nis: list[float] = []
-        self.anchor_scans: list[int] = []
-        self.T_anchor_base: list[FloatArray] = []
-        self.cov_anchor_base: list[FloatArray] = []
-        self.T_world_base: list[FloatArray] = []
+        self.is_track_seen: list[bool] = []
         self.n_failed = 0
         self.events: list[Event] = []
 
     def keep(self, step: StepResult) -> None:
         if step.is_moving.any():
             points = step.scan.points_base()[step.is_moving]
-            self.moving_base.append((len(self.stamps), points.astype(np.float32)))
-        self.stamps.append(step.scan.stamp)
-        self.T_odom_base.append(step.scan.T_odom_base)
-        self.is_valid.append(step.is_valid)
-        self.is_moving.append(step.is_moving)
-        self.p_moving.append(step.p_moving.astype(np.float16))
-        self.stage_ms.append(dict(step.stage_ms))
-        self.nis.append(step.innovation_nis)
-        self.anchor_scans.append(step.anchor_scan)
-        self.T_anchor_base.append(step.T_anchor_base)
-        self.cov_anchor_base.append(step.cov_anchor_base)
-        if step.scan.truth is not None and step.scan.truth.T_world_base is not None:
-            self.T_world_base.append(step.scan.truth.T_world_base)
+            self.moving_base.append((len(self.scans), points.astype(np.float32)))
+        self.scans.append(
+            _KeptScan(
+                stamp=step.scan.stamp,
+                T_map_base=step.T_map_base,
+                cov_map=step.cov_map,
+                T_odom_base=step.scan.T_odom_base,
+                T_world_base=None if step.scan.truth is None else step.scan.truth.T_world_base,
+                is_valid=step.is_valid,
+                is_moving=step.is_moving,
+                p_moving=step.p_moving.astype(np.float16),
+                stage_ms=dict(step.stage_ms),
+                nis=step.innovation_nis,
+                anchor_scan=step.anchor_scan,
+                T_anchor_base=step.T_anchor_base,
+                cov_anchor_base=step.cov_anchor_base,
+            )
+        )
         self.n_failed += step.match is not None and step.match.status == "failed"
         self.events += step.events
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]
             self.tracks.append([float(value) for value in (*row, step.scan.index)])
+            self.is_track_seen.append(len(track.beams) > 0)
+
+    def online_estimate(self) -> FinalEstimate:
+        """Give the poses as they were estimated at the time, without a graph."""
+        return FinalEstimate(
+            T_map_base=np.array([scan.T_map_base for scan in self.scans]).reshape(-1, 3),
+            cov_map=np.array([scan.cov_map for scan in self.scans]).reshape(-1, 3, 3),
+            node_scans=np.empty(0, dtype=np.int64),
+            nodes=np.empty((0, 3)),
+            edges=(),
+        )
+
+    def moving_points(self, T_map_base: FloatArray) -> FloatArray:
+        """(m, 2) moving points of all scans by the labels of the time, map frame."""
+        found = [se2.transform(T_map_base[k], points) for k, points in self.moving_base]
+        return np.concatenate([np.empty((0, 2)), *found])
+
+
+@dataclass(kw_only=True, eq=False)
+class _Outcome:
+    """What is computed at the end of a run from all of it, and what of that failed and why."""
+
+    final: FinalEstimate
+    labels: list[BoolArray] | None
+    grid: GridMap
+    moving_points: FloatArray
+    failures: dict[str, Exception]
+
+
+@dataclass(eq=False)
+class _Session:
+    """One pass over the source."""
+
+    pipeline: Pipeline | KissIcpPipeline
+    kept: _Kept = field(default_factory=_Kept)
+    outcome: _Outcome | None = None
+    is_started: bool = False
+    is_observed: bool = False
+    is_complete: bool = False
+
+
+def _conclude(session: _Session) -> _Outcome:
+    """Compute the optimised trajectory, the final labels and the map; where one fails, what is known without it."""
+    pipeline, kept = session.pipeline, session.kept
+    failures: dict[str, Exception] = {}
+
+    def attempt(what: str, compute: Callable[[], T], fallback: Callable[[], T]) -> T:
+        try:
+            return compute()
+        except Exception as error:  # what was computed before must not be lost with it
+            failures[what] = error
+            return fallback()
+
+    final = attempt("optimised trajectory", pipeline.final, kept.online_estimate)
+    T_map_base = final.T_map_base
+    labels = attempt("final labels", lambda: pipeline.final_labels(T_map_base), lambda: None)
+    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.grid.config.resolution_m))
+    n = len(kept.scans)
+    # a step that was cut short may have left a pose or a label more
+    labels = None if labels is None else labels[:n]
+
+    def find_moving() -> FloatArray:
+        if isinstance(pipeline, Pipeline) and labels is not None:
+            return pipeline.moving_points(T_map_base, labels)
+        return kept.moving_points(T_map_base)
+
+    moving_points = attempt("moving points", find_moving, lambda: kept.moving_points(T_map_base))
+    final = replace(final, T_map_base=T_map_base[:n], cov_map=final.cov_map[:n])
+    return _Outcome(final=final, labels=labels, grid=grid, moving_points=moving_points, failures=failures)
+
+
+def _no_map(resolution_m: float) -> GridMap:
+    return GridMap(p_occupied=np.full((1, 1), np.nan), resolution_m=resolution_m, origin=np.zeros(2))
+
+
+def _skipped(log: Any) -> Sequence[SkippedScan]:
+    """Scans that a source has left out so far; empty where it does not tell."""
+    return getattr(log, "skipped", ())
 
 
 def _padded(rows: list[np.ndarray], fill: float = 0.0) -> np.ndarray:

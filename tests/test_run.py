@@ -1,5 +1,7 @@
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError, SlammotError
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.logs.source import SkippedScan
@@ -15,6 +18,7 @@ from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.run import Run, make_pipeline
+from slammot_graph.run_folder.writer import write_run_folder
 from tests.rooms import LASER, ListLog, drive, errors, kidnapped, occluded, truth_from_start
 
 
@@ -62,14 +66,17 @@ def test_moving_points_are_those_of_the_final_labels(method: str) -> None:
 
 
 def test_tracks_are_rows_of_plain_numbers() -> None:
-    run, rows = Run(drive(60)), []
+    run, rows, is_seen = Run(drive(60)), [], []
     for step in run:
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             place = [*track.position, *track.velocity, xx, xy, yy]
             rows.append([step.scan.stamp, track.track_id, *place, step.scan.index])
+            is_seen.append(len(track.beams) > 0)
     assert len(rows) > 10
     np.testing.assert_array_equal(run.result().tracks, rows)
+    np.testing.assert_array_equal(run.result().is_track_seen, is_seen)
+    assert set(is_seen) == {True, False}
 
 
 @pytest.mark.parametrize("n", [1, 12])
@@ -231,3 +238,123 @@ def test_a_configuration_makes_its_pipeline() -> None:
     assert isinstance(pipeline, Pipeline)
     pipeline.close()
     assert isinstance(make_pipeline(METHODS["kiss-icp"].config), KissIcpPipeline)
+
+
+def test_each_iteration_has_a_result_of_its_own() -> None:
+    """Once there were 10 stamps with 60 poses: the second run's scans with the first one's end."""
+    run = Run(drive(20))
+    first = run.complete()
+    steps = iter(run)
+    for _ in range(5):
+        next(steps)
+    result = run.result()
+    for name in ("stamps", "T_map_base", "cov_map", "is_moving", "is_moving_online", "nis"):
+        assert len(getattr(result, name)) == 5, name
+    assert not result.is_complete
+    others = iter(run)  # ends the one before
+    next(others)
+    assert len(run.result().T_map_base) == 1
+    assert next(steps, None) is None
+    again = run.complete()
+    np.testing.assert_array_equal(again.T_map_base, first.T_map_base)
+    assert again.is_complete
+
+
+def test_a_result_is_there_at_any_time_and_does_not_change_the_run() -> None:
+    assert len(Run(drive(3)).result().T_map_base) == 0
+    plain, watched = Run(drive(60)), Run(drive(60))
+    for k, _ in enumerate(watched, start=1):
+        result = watched.result()
+        assert result.T_map_base.shape == (k, 3)
+        assert not result.is_complete
+    expected = plain.complete()
+    for name in ("T_map_base", "cov_map", "is_moving", "nodes", "tracks", "p_moving"):
+        np.testing.assert_array_equal(getattr(watched.result(), name), getattr(expected, name))
+
+
+def test_a_run_left_early_ends_with_its_context() -> None:
+    with Run(drive(30)) as run:
+        steps = iter(run)
+        for _ in range(4):
+            next(steps)
+    assert next(steps, None) is None
+    assert len(run.result().T_map_base) == 4
+    run.close()
+
+
+@pytest.mark.parametrize("method", ["graph", "docpfo", "odometry", "kiss-icp"])
+def test_a_live_source_needs_no_length_and_is_read_once(method: str) -> None:
+    log = drive(12)
+    result = Run((scan for scan in log), method).complete()
+    np.testing.assert_array_equal(result.stamps, [scan.stamp for scan in log])
+    assert result.n_skipped == 0
+    with pytest.raises(InputError, match="the source gave no usable scan"):
+        Run(iter(())).complete()
+
+
+@pytest.mark.parametrize(
+    ("broken", "what"),
+    [
+        ("final", "optimised trajectory"),
+        ("final_labels", "final labels"),
+        ("render_map", "map"),
+        ("moving_points", "moving points"),
+    ],
+)
+def test_a_failing_end_keeps_what_was_computed_and_tells_why(
+    broken: str, what: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    plain = Run(drive(40)).complete()
+    monkeypatch.setattr(Pipeline, broken, fail)
+    run = Run(drive(40))
+    steps = []
+    with pytest.raises(OSError, match="no space left"):
+        for step in run:
+            steps.append(step)  # noqa: PERF402 - the error comes after the last
+    monkeypatch.undo()
+    result = run.result()
+    assert result.failures == (f"{what}: no space left",)
+    assert not result.is_complete
+    assert run.is_complete
+    kept_as_it_was = ["stamps", "is_valid", "is_moving_online", "tracks", "nis", "p_moving"]
+    for name in kept_as_it_was + (["T_map_base", "cov_map", "nodes"] if broken != "final" else []):
+        np.testing.assert_array_equal(getattr(result, name), getattr(plain, name), err_msg=name)
+    if broken == "final":  # the poses of the time
+        np.testing.assert_array_equal(result.T_map_base, [step.T_map_base for step in steps])
+        np.testing.assert_array_equal(result.cov_map, [step.cov_map for step in steps])
+    if broken == "final_labels":
+        np.testing.assert_array_equal(result.is_moving, result.is_moving_online)
+    assert np.isfinite(result.grid.p_occupied).any() == (broken != "render_map")
+    write_run_folder(tmp_path / "run", result)  # also such a result can be written
+
+
+def test_the_first_error_is_told_and_that_of_the_end_is_its_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    def source() -> Iterator[Scan]:
+        yield from drive(5)
+        raise InputError("cut short")
+
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Pipeline, "render_map", fail)
+    run = Run(source())
+    with pytest.raises(InputError, match="cut short") as caught:
+        run.complete()
+    assert caught.value.__notes__ == ["at the end of the run: no space left"]
+    assert len(run.result().stamps) == 5
+
+
+def test_whoever_leaves_a_run_early_is_told_that_its_end_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Pipeline, "render_map", fail)
+    run = Run(drive(5))
+    steps = iter(run)
+    next(steps)
+    with pytest.raises(OSError, match="no space left"):
+        run.close()
+    assert len(run.result().T_map_base) == 1

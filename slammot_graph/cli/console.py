@@ -98,21 +98,23 @@ def warn(log: "LaserLog") -> None:
 def scan_progress(
     log: "LaserLog", method: str, max_scans: int | None = None
 ) -> contextlib.AbstractContextManager[Callable[[int], None]]:
-    """Show how many scans of a log a method has done; skipped ones count as done."""
-    total = log.n_scans if max_scans is None else min(max_scans, log.n_scans)
+    """Show how many scans of a log a method has done; skipped ones count as done. The log's length may be unknown."""
+    limits = [n for n in (log.n_scans, max_scans) if n is not None]
+    total = min(limits) if limits else None
     return progress(f"{method} on {log.path.name}", total, "scans", passed_over=log.skipped)
 
 
 @contextlib.contextmanager
 def progress(
-    label: str, total: int, what: str, *, passed_over: Sized = ()
+    label: str, total: int | None, what: str, *, passed_over: Sized = ()
 ) -> Iterator[Callable[[int], None]]:
     """Show how many are done: a bar, or where nobody watches a line at the start and one at the end.
 
     Parameters
     ----------
     label : str
-    total : int
+    total : int or None
+        None where nobody knows.
     what : str
         What is counted, in the plural.
     passed_over : sized
@@ -142,7 +144,7 @@ def progress(
         nonlocal n_done
         n_done = n
 
-    console.print(f"{label}: {total} {what}", soft_wrap=True)
+    console.print(f"{label}: {what if total is None else f'{total} {what}'}", soft_wrap=True)
     yield count
     console.print(f"{label}: {n_done} {what} in {time.monotonic() - start:.1f} s", soft_wrap=True)
 

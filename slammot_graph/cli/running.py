@@ -4,7 +4,7 @@ import contextlib
 import math
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -32,10 +32,10 @@ from slammot_graph.cli.logs import write_simulation
 
 if TYPE_CHECKING:
     from slammot_graph.core.log_info import SourceInfo
-    from slammot_graph.core.results import RunResult, StepResult
+    from slammot_graph.core.results import RunResult
     from slammot_graph.logs import LaserLog
+    from slammot_graph.observer import Observer
     from slammot_graph.run import Run
-    from slammot_graph.viz.rerun.recording import RunLog
 
 DEMO_METHODS = ("odometry", "icp", "docpfo", "graph")
 DEMO_SEED = 0
@@ -101,9 +101,15 @@ def run_command(
 
     from slammot_graph.run import Run
 
-    max_range_m = None if math.isinf(max_range) else max_range
-    run = Run(opened, method, config=settings, max_range_m=max_range_m, max_scans=max_scans)
-    outcome = _execute(run, output, rerun=rerun, overwrite=overwrite)
+    run = Run(
+        opened,
+        method,
+        config=settings,
+        max_range_m=None if math.isinf(max_range) else max_range,
+        max_scans=max_scans,
+        observers=_observers(output, rerun),
+    )
+    outcome = _execute(run, opened, output, overwrite=overwrite)
     stdout().print(_run_table(outcome))
     return EXIT_INTERRUPTED if outcome.was_interrupted else EXIT_OK
 
@@ -128,7 +134,8 @@ def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path
         *("ATE rmse [m]", "precision", "recall", "IoU (final labels)", "ms per scan (median)"),
     )
     for method in DEMO_METHODS:
-        outcome = _execute(Run(log, method), output / method, rerun="file", overwrite=True)
+        run = Run(log, method, observers=_observers(output / method, "file"))
+        outcome = _execute(run, log, output / method, overwrite=True)
         if outcome.was_interrupted:
             return EXIT_INTERRUPTED
         table.add_row(method, *_truth_cells(outcome.result, log))
@@ -151,11 +158,12 @@ class _Outcome:
 
     result: "RunResult"
     run: "Run"
+    log: "LaserLog"
     output: Path
     was_interrupted: bool
 
 
-def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> _Outcome:
+def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> _Outcome:
     """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
     from slammot_graph.run_folder.directory import prepare_output
     from slammot_graph.saving import write_run
@@ -164,15 +172,11 @@ def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> 
     _announce_compilation()
     failure: Exception | None = None
     n_scans = 0
-    with (
-        contextlib.closing(_make_run_log(run, output, rerun)) as run_log,
-        _interrupt_flag() as is_interrupted,
-    ):
-        steps = iter(run)
+    with _interrupt_flag() as is_interrupted:
         try:
-            with scan_progress(run.log, run.method, run.max_scans) as show:
-                for n_scans, step in enumerate(steps, start=1):
-                    _record(run, run_log, step)
+            with run, scan_progress(log, run.method, run.max_scans) as show:
+                steps = iter(run)  # held, so that leaving the run is what ends it
+                for n_scans, _ in enumerate(steps, start=1):
                     show(n_scans)
                     if is_interrupted():
                         break
@@ -180,19 +184,17 @@ def _execute(run: "Run", output: Path, *, rerun: RerunMode, overwrite: bool) -> 
             if n_scans == 0:
                 raise
             failure = error
-        finally:
-            if isinstance(steps, Generator):
-                steps.close()
         result = run.result()
         write_run(result, output)
-        run_log.finish(result)
-    warn(run.log)
+    warn(log)
+    for text in result.failures:
+        stderr().print(f"warning: could not be computed: {text}", soft_wrap=True)
     if failure is not None or is_interrupted():
         why = "stopped" if failure is not None else "interrupted"
         stderr().print(f"{why} after {n_scans} scans; what was computed is in {output}")
     if failure is not None:
         raise failure
-    return _Outcome(result=result, run=run, output=output, was_interrupted=is_interrupted())
+    return _Outcome(result=result, run=run, log=log, output=output, was_interrupted=is_interrupted())
 
 
 @cache
@@ -207,38 +209,13 @@ def _announce_compilation() -> None:
         )
 
 
-def _record(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
-    if run_log.wants_cells:
-        _record_cells(run, run_log, step)
-    run_log.log_step(step)
-    if run_log.wants_map:
-        run_log.log_map(run.pipeline.render_map())
-    if run_log.wants_graph:
-        run_log.log_graph(*run.pipeline.nodes_and_edges())
-    if run_log.wants_nodes:
-        run_log.log_nodes(run.pipeline.nodes_and_edges()[0])
-
-
-def _record_cells(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
-    """Log the cells around the robot if the method tests them; comes before the step's own log."""
-    from slammot_graph.pipeline import Pipeline
-    from slammot_graph.viz.rerun.recording import CELLS_HALF_SIDE_M
-
-    pipeline = run.pipeline
-    if isinstance(pipeline, Pipeline) and pipeline.config.filter_moving:
-        cells, T_map_local = pipeline.crop_test_grid(step.T_map_base[:2], CELLS_HALF_SIDE_M)
-        limits = pipeline.grid.config.p_free, pipeline.grid.config.p_occupied
-        run_log.log_cells(cells, T_map_local, limits)
-
-
-def _make_run_log(run: "Run", output: Path, mode: RerunMode) -> "RunLog":
-    from slammot_graph.core.config import to_plain
-    from slammot_graph.viz.rerun.recording import NoRunLog, RerunLog
-
+def _observers(output: Path, mode: RerunMode) -> "list[Observer]":
+    """Make what watches a run: its recording, unless there is none."""
     if mode == "off":
-        return NoRunLog()
-    path = output / "run.rrd" if mode == "file" else None
-    return RerunLog(path=path, spawn=mode == "spawn", method=run.method, config=to_plain(run.config))
+        return []
+    from slammot_graph.viz.rerun.run import RerunRecording
+
+    return [RerunRecording(path=output / "run.rrd" if mode == "file" else None, spawn=mode == "spawn")]
 
 
 @contextlib.contextmanager
@@ -269,7 +246,7 @@ def _run_table(outcome: _Outcome) -> Table:
     from slammot_graph.logs import source_of
     from slammot_graph.run_folder.directory import RUN_FILES
 
-    result, log = outcome.result, outcome.run.log
+    result, log = outcome.result, outcome.log
     table = Table(title=f"{result.method} on {log.path.name}", show_header=False)
     step_ms = result.stage_ms.get("step", np.zeros(0))
     reasons = "; ".join(f"{scan.place}: {scan.reason}" for scan in log.skipped[:N_REASONS])
@@ -304,11 +281,11 @@ def _source_rows(source: "SourceInfo") -> dict[str, str]:
 
 def _share_of_log(outcome: _Outcome) -> str:
     """Say so where not the whole log was run."""
-    result, run = outcome.result, outcome.run
-    if not result.is_complete:
+    result, max_scans, n_scans = outcome.result, outcome.run.max_scans, outcome.log.n_scans
+    if not outcome.run.is_complete:
         return " (not the whole log)"
-    if run.max_scans is not None and len(result.stamps) + result.n_skipped < run.log.n_scans:
-        return f" (the first {run.max_scans} scans of {run.log.n_scans})"
+    if max_scans is not None and n_scans is not None and len(result.stamps) + result.n_skipped < n_scans:
+        return f" (the first {max_scans} scans of {n_scans})"
     return ""
 
 

@@ -263,6 +263,8 @@ class RunResult:
         All points that move, by the final labels, map frame.
     tracks : (k, 10) array
         The columns `TRACK_COLUMNS` [s, -, m, m, m/s, m/s, m^2, m^2, m^2, -], map frame.
+    is_track_seen : (k,) bool array
+        Whether beams of that scan were assigned to the track; else its row was only predicted.
     grid : GridMap
     node_scans : (m,) int array
         Scan index of each graph node.
@@ -286,9 +288,11 @@ class RunResult:
     events : tuple of Event
         In the order of the scans.
     is_complete : bool
-        False when the run was interrupted.
+        False when the run was interrupted, or not all of its end could be computed.
     log : LogInfo
         The log that was run.
+    failures : tuple of str
+        What could not be computed at the end, and why: "map: ..."; in its place is what is known without it.
     """
 
     method: str
@@ -303,6 +307,7 @@ class RunResult:
     p_moving: Any
     moving_points: FloatArray
     tracks: FloatArray
+    is_track_seen: BoolArray
     grid: GridMap
     node_scans: IntArray
     nodes: FloatArray
@@ -318,6 +323,7 @@ class RunResult:
     events: tuple[Event, ...] = ()
     is_complete: bool = True
     log: LogInfo = field(default_factory=LogInfo)
+    failures: tuple[str, ...] = ()
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

@@ -7,6 +7,7 @@ recursions over long chains overflow a default one.
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -59,6 +60,7 @@ class PoseGraph:
         self._waiting: list[GraphEdge] = []
         self._factor_of: dict[int, int] = {}
         self._poses: FloatArray | None = None
+        self._snapshot: PoseGraph | None = None
         self._isam = _smoother(config)
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
@@ -77,6 +79,7 @@ class PoseGraph:
     def add_node(self, T_map_base: FloatArray) -> int:
         """Add a node with a first guess of its pose (3,); it needs an edge before the next `update` or question."""
         node = self._n_nodes
+        self._snapshot = None
         self._new_values.insert(node, _pose(T_map_base))
         self._n_nodes += 1
         return node
@@ -129,7 +132,7 @@ class PoseGraph:
     def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
         """Take edges of kind "closure" out again, which turned out wrong."""
         self.update()
-        self._poses = None
+        self._poses = self._snapshot = None
 
         def remove() -> None:
             parameters = gtsam.ISAM2UpdateParams()
@@ -148,6 +151,7 @@ class PoseGraph:
         Edges that wait for the next `update` come in as well.
         """
         self._isam = _smoother(self.config)
+        self._snapshot = None
         self._factor_of, self._waiting = {}, []
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._add_prior(poses[0])
@@ -172,6 +176,27 @@ class PoseGraph:
             poses = np.asarray(gtsam.utilities.extractPose2(values), dtype=np.float64)
             self._poses = poses.reshape(-1, 3)
         return self._poses.copy()
+
+    def snapshot(self) -> "PoseGraph":
+        """Copy the graph, to ask the copy what the estimate must not depend on; only questions, and do not close it.
+
+        A question to the graph itself brings what waits into the smoother and solves it in full, which shifts the
+        points that nodes are linearised at later: the estimate would depend on who looked at it, and when. The copy's
+        cost grows with the number of nodes; it is kept until the graph changes.
+
+        Raises
+        ------
+        SlammotError
+            The graph cannot be solved.
+        """
+        if self._snapshot is None:
+            other = copy(self)
+            other._isam = self._in_thread(lambda: gtsam.ISAM2(self._isam))
+            other.edges, other._waiting = list(self.edges), list(self._waiting)
+            other._factor_of = dict(self._factor_of)
+            other.update()
+            self._snapshot = other
+        return self._snapshot
 
     def marginal(self, node: int) -> FloatArray:
         """(3, 3) absolute covariance of a node, right perturbation (body frame)."""
@@ -216,6 +241,7 @@ class PoseGraph:
 
     def _add_factor(self, edge: GraphEdge) -> None:
         noise = _noise(edge)
+        self._snapshot = None
         between = gtsam.BetweenFactorPose2(edge.from_node, edge.to_node, _pose(edge.T_from_to), noise)
         self._new_factors.add(between)
         self._waiting.append(edge)

@@ -110,7 +110,7 @@ class ScanToMap:
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`."""
-        return self.graph.poses(), tuple(self.graph.edges)
+        return self.graph.snapshot().poses(), tuple(self.graph.edges)
 
     def final(self) -> FinalEstimate:
         """See `Localizer`."""
@@ -120,7 +120,8 @@ class ScanToMap:
             return FinalEstimate(
                 T_map_base=nothing, cov_map=np.empty((0, 3, 3)), node_scans=no_nodes, nodes=nothing, edges=()
             )
-        nodes, marginals = self.graph.poses(), self.graph.marginals()
+        graph = self.graph.snapshot()
+        nodes, marginals = graph.poses(), graph.marginals()
         T_map_base, cov_map = self._scan_poses.trajectory(nodes, marginals)
         return FinalEstimate(
             T_map_base=T_map_base,

@@ -53,8 +53,6 @@ MANY_CLOSURES = 50
 """More closures than these are drawn as a haze; as plain lines they would hide the map."""
 POINT_IN = 0.02
 """Of the moving points within a square of this side on the page [inch] one is drawn."""
-SAME_SPEED = 1e-9
-"""Speeds [m/s] that differ by less are equal: nothing that the laser saw came between them."""
 
 PATH: dict[str, Any] = {"color": to_hex(COLOR_ESTIMATE), "linewidth": 1.0}
 START: dict[str, Any] = {
@@ -273,16 +271,11 @@ def _closures(result: RunResult) -> IntArray:
 
 
 def _tracks(result: RunResult) -> dict[int, FloatArray]:
-    """Give for each track the places (k, 2) [m] where its object was seen.
-
-    A row of the same speed as the one before was predicted only: what is seen always changes it.
-    """
+    """Give for each track the places (k, 2) [m] where its object was seen; those only predicted are left out."""
     tracks: dict[int, FloatArray] = {}
-    for track_id in np.unique(result.tracks[:, 1]).astype(np.int64).tolist():
-        rows = result.tracks[result.tracks[:, 1] == track_id]
-        speed = np.hypot(rows[:, 4], rows[:, 5])
-        is_seen = np.abs(np.diff(speed, prepend=np.inf)) > SAME_SPEED
-        xy = finite(rows[is_seen, 2:4])
+    seen = result.tracks[result.is_track_seen]
+    for track_id in np.unique(seen[:, 1]).astype(np.int64).tolist():
+        xy = finite(seen[seen[:, 1] == track_id, 2:4])
         if len(xy):
             tracks[track_id] = xy
     return tracks

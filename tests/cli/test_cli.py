@@ -20,9 +20,11 @@ from slammot_graph import Run, __version__, cli
 from slammot_graph.cli import console, running
 from slammot_graph.cli.files import open_log_of_run
 from slammot_graph.core import _numba, se2
+from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import StepResult
 from slammot_graph.evaluation import absolute_error
 from slammot_graph.logs import write_npz_log
+from slammot_graph.pipeline import Pipeline
 from slammot_graph.run_folder import directory
 from slammot_graph.run_folder.reader import read_run_folder
 from slammot_graph.run_folder.tum import read_trajectory
@@ -434,3 +436,26 @@ def test_the_module_is_the_command(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.startswith("slammot-graph: none.relations: cannot be read")
     assert done.stderr.count("\n") == 1
+
+
+def test_progress_over_an_unknown_number_of_scans(capsys: pytest.CaptureFixture[str]) -> None:
+    with console.progress("live", None, "scans") as show:
+        show(3)
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "live: scans"
+    assert told[1].startswith("live: 3 scans in ")
+
+
+def test_a_run_whose_end_fails_is_written_and_says_why(
+    capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise SlammotError("the disk is full")
+
+    monkeypatch.setattr(Pipeline, "final_labels", fail)
+    code, _, err = run(capsys, "run", log, "--output", tmp_path / "out", "--rerun", "file")
+    assert code == console.EXIT_USER_ERROR
+    assert "warning: could not be computed: final labels: the disk is full" in err
+    assert f"stopped after {N_SCANS} scans; what was computed is in" in err
+    assert len(read_run_folder(tmp_path / "out").stamps) == N_SCANS
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*RUN_FILES, "run.rrd"}

@@ -271,3 +271,37 @@ def test_a_component_moved_to_where_it_lies_stays_there(graph: PoseGraph) -> Non
         graph.add_edge("closure", 2, source, se2.between(poses[2], poses[source]), strong)
     graph.rebuild(poses)
     assert max(errors(graph.poses(), poses)) < 0.02
+
+
+def test_a_snapshot_answers_as_the_graph_would_and_leaves_it_alone(rng: np.random.Generator) -> None:
+    """Also with nodes that wait for the next update; what comes later is the same to the last bit."""
+
+    def grow(seed: int, *, look: bool) -> PoseGraph:
+        graph, rng = PoseGraph(PoseGraphConfig()), np.random.default_rng(seed)
+        pose = np.zeros(3)
+        graph.start(pose)
+        for k in range(1, 60):
+            step = np.array([0.5, 0.0, 0.1]) + rng.normal(0.0, 0.02, 3)
+            pose = se2.compose(pose, step + rng.normal(0.0, 0.1, 3))
+            graph.add_node(pose)
+            graph.add_edge("odometry", k - 1, k, step, random_information(rng))
+            if k % 10 == 9:
+                graph.add_edge("closure", k - 8, k, rng.normal(0.0, 1.0, 3), 1e-2 * random_information(rng))
+            if look:
+                snapshot = graph.snapshot()
+                assert snapshot.poses().shape == (k + 1, 3)
+                assert snapshot.marginals().shape == (k + 1, 3, 3)
+                assert graph.snapshot() is snapshot
+            if k % 4 == 0:
+                graph.update()
+        return graph
+
+    seed = int(rng.integers(1 << 30))
+    plain, watched = grow(seed, look=False), grow(seed, look=True)
+    snapshot = plain.snapshot()
+    poses, marginals = snapshot.poses(), snapshot.marginals()
+    for graph in (plain, watched):
+        np.testing.assert_array_equal(graph.poses(), poses)
+        np.testing.assert_array_equal(graph.marginals(), marginals)
+        assert len(graph.edges) == len(snapshot.edges)
+        graph.close()

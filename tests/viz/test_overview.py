@@ -43,16 +43,17 @@ def lines_of(figure: Figure, label: str) -> list[np.ndarray]:
     return [np.asarray(line.get_xydata()) for line in lines if line.get_label() == label]
 
 
-def walk(track_id: int, speeds: list[float]) -> np.ndarray:
-    """Tracks of one object, row by row one metre to the right of the origin."""
-    tracks = np.zeros((len(speeds), 10))
-    tracks[:, 0], tracks[:, 1], tracks[:, 4] = np.arange(len(speeds)), track_id, speeds
-    tracks[:, 2] = np.arange(len(speeds))
+def walk(track_id: int, n: int = 3, *, speed_m_s: float = 1.0) -> np.ndarray:
+    """Tracks of one object of constant speed, row by row one metre to the right of the origin."""
+    tracks = np.zeros((n, 10))
+    tracks[:, 0], tracks[:, 1], tracks[:, 4] = np.arange(n), track_id, speed_m_s
+    tracks[:, 2] = np.arange(n)
     return tracks
 
 
-def with_tracks(n: int) -> RunResult:
-    return replace(result(), tracks=np.vstack([walk(k, [1.0, 1.1, 1.2]) for k in range(n)]))
+def with_tracks(n: int, run: RunResult | None = None) -> RunResult:
+    tracks = np.vstack([np.empty((0, 10)), *(walk(k) for k in range(n))])
+    return replace(run or result(), tracks=tracks, is_track_seen=np.ones(len(tracks), dtype=bool))
 
 
 def with_closures(n: int) -> RunResult:
@@ -80,6 +81,7 @@ def empty() -> RunResult:
         T_map_base=run.T_map_base[:0],
         T_map_odom_base=run.T_map_odom_base[:0],
         tracks=run.tracks[:0],
+        is_track_seen=run.is_track_seen[:0],
         nodes=run.nodes[:0],
         edges=(),
         grid=no_map(),
@@ -103,7 +105,7 @@ def test_a_run_gives_a_picture_of_map_and_trajectory(tmp_path: Path) -> None:
 
 def test_the_legend_names_all_that_is_drawn() -> None:
     points = np.array([[1.0, 1.0], [2.0, 1.0]])
-    run = replace(with_closures(1), tracks=with_tracks(2).tracks)
+    run = with_tracks(2, with_closures(1))
     assert labels(compose_overview(run, moving_points=points)) == [
         *("trajectory", "start", "end", "raw odometry", "loop closures"),
         *("moving points", "2 tracks of moving objects (a colour each; dot and number where last seen)"),
@@ -112,7 +114,7 @@ def test_the_legend_names_all_that_is_drawn() -> None:
 
 
 def test_the_legend_names_nothing_that_is_not_drawn() -> None:
-    run = replace(result(), tracks=np.empty((0, 10)), edges=())
+    run = replace(with_tracks(0), edges=())
     said = labels(compose_overview(run, moving_points=np.array([[1e3, 0.0], [np.nan, 0.0]])))
     assert said == [
         *("trajectory", "start", "end", "raw odometry"),
@@ -125,7 +127,7 @@ def test_the_legend_names_nothing_that_is_not_drawn() -> None:
 
 
 def test_the_title_names_method_log_and_counts() -> None:
-    run = replace(with_closures(1), tracks=with_tracks(1).tracks, is_complete=False)
+    run = replace(with_tracks(1, with_closures(1)), is_complete=False)
     title, counts = (text.get_text() for text in compose_overview(run, log_name="a $1$ log.bag").texts)
     assert title == "graph on a $1$ log.bag"
     n_nodes = len(run.nodes)
@@ -139,7 +141,7 @@ def test_the_title_names_method_log_and_counts() -> None:
 @pytest.mark.parametrize("name", ["x" * 400 + ".bag", "日本\n\udcff.bag"])
 @pytest.mark.parametrize("shape", [(130, 160), (3, 400), (5000, 40)])
 def test_nothing_leaves_the_page(name: str, shape: tuple[int, int]) -> None:
-    run = replace(with_closures(1), tracks=with_tracks(9).tracks, grid=room(shape))
+    run = replace(with_tracks(9, with_closures(1)), grid=room(shape))
     run = replace(run, T_map_odom_base=100.0 * run.T_map_odom_base)
     figure = compose_overview(run, log_name=name, moving_points=np.zeros((1, 2)))
     figure.canvas.draw()
@@ -214,16 +216,26 @@ def test_moving_points_are_thinned() -> None:
 
 
 def test_a_track_ends_where_its_object_was_last_seen() -> None:
-    # of rows of one speed all but the first were predicted
-    tracks = np.vstack([walk(3, [1.0, 1.1, 1.1, 1.2, 1.2, 1.2]), walk(4, [0.7, 0.7])])
-    figure = compose_overview(replace(result(), tracks=tracks))
+    tracks = np.vstack([walk(3, 6), walk(4, 2), walk(5, 1)])
+    is_seen = np.array([True, True, False, True, False, False, True, False, False])
+    figure = compose_overview(replace(result(), tracks=tracks, is_track_seen=is_seen))
     (seen,) = lines_of(figure, "track 3")
     np.testing.assert_array_equal(seen[:, 0], [0.0, 1.0, 3.0])
     (once,) = lines_of(figure, "track 4")
     assert len(once) == 1
+    assert lines_of(figure, "track 5") == []
     numbers = [text for text in figure.axes[0].texts if text.get_text() == "3"]
     assert [text.xy for text in numbers if isinstance(text, Annotation)] == [(3.0, 0.0)]
     assert same_color(numbers[0].get_color(), to_hex(track_color(3)))
+
+
+def test_who_is_seen_to_stand_or_to_walk_evenly_is_drawn_wherever_he_was_seen() -> None:
+    """An object may keep its speed exactly: that does not tell whether the laser saw it."""
+    for speed_m_s in (0.0, 1.0):
+        tracks = walk(1, 5, speed_m_s=speed_m_s)
+        run = replace(result(), tracks=tracks, is_track_seen=np.ones(5, dtype=bool))
+        (seen,) = lines_of(compose_overview(run), "track 1")
+        np.testing.assert_array_equal(seen[:, 0], np.arange(5.0))
 
 
 @pytest.mark.parametrize(
@@ -250,8 +262,6 @@ def test_maps_of_any_size_are_drawn(tmp_path: Path, shape: tuple[int, int]) -> N
 
 
 def test_a_run_without_tracks_nodes_or_map_is_drawn(tmp_path: Path) -> None:
-    run = replace(
-        result(), tracks=np.empty((0, 10)), nodes=np.empty((0, 3)), edges=(), grid=no_map(), is_complete=False
-    )
+    run = replace(with_tracks(0), nodes=np.empty((0, 3)), edges=(), grid=no_map(), is_complete=False)
     assert n_colors(picture(run, tmp_path / "overview.png")) > 5
     assert n_colors(picture(empty(), tmp_path / "overview.png")) > 5

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,7 +14,6 @@ import pytest
 import rerun as rr
 
 from slammot_graph import Run, get_method
-from slammot_graph.cli.running import _record
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import InputError
@@ -23,9 +22,11 @@ from slammot_graph.core.results import ClosureAttempt, ClosureStatus, GridMap, R
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.localization import ScanToMap
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
-from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.viz.rerun import recording
-from slammot_graph.viz.rerun.recording import COLOR_CELLS, NoRunLog, RerunLog
+from slammot_graph.observer import RunInfo, TestGrid
+from slammot_graph.pipeline import Pipeline
+from slammot_graph.viz.rerun import cells, layout
+from slammot_graph.viz.rerun.cells import COLOR_CELLS
+from slammot_graph.viz.rerun.run import RerunRecording
 from tests.loop_closure.ring import ring_log
 from tests.rooms import drive
 
@@ -42,15 +43,20 @@ def strict() -> Iterator[None]:
 
 
 def record(path: Path) -> RunResult:
-    config = get_method("graph").config
-    log = RerunLog(path=path, method="graph", config=to_plain(config))
-    run = Run(drive(N_SCANS), config=config)
+    log, run = begin(path), Run(drive(N_SCANS))
     for step in run:
         log.log_step(step)
     result = run.result()
-    log.finish(result)
+    log.on_finish(result)
     log.close()
     return result
+
+
+def begin(path: Path) -> RerunRecording:
+    """A recording that a test drives itself."""
+    log = RerunRecording(path=path)
+    log.on_start(RunInfo(method="graph", config=to_plain(get_method("graph").config)))
+    return log
 
 
 def rows(path: Path) -> Counter[str]:
@@ -72,6 +78,19 @@ def entries(path: Path, entity: str, component: str) -> dict[int, list[Any]]:
         if not chunk.is_static and component in batch.schema.names:
             values = (value or [] for value in batch.column(component).to_pylist())
             found.update(zip(batch.column("scan").to_pylist(), values, strict=True))
+    return found
+
+
+def all_entries(path: Path, entity: str, *components: str) -> list[tuple[Any, ...]]:
+    """First instances of components of an entity, row by row, also where a scan has several."""
+    from rerun.chunk import RrdReader
+
+    found: list[tuple[Any, ...]] = []
+    for chunk in RrdReader(path).stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if not chunk.is_static and components[0] in batch.schema.names:
+            columns = (batch.column(component).to_pylist() for component in components)
+            found += [tuple(value[0] for value in row) for row in zip(*columns, strict=True)]
     return found
 
 
@@ -99,18 +118,17 @@ class Ring:
 def ring(tmp_path_factory: pytest.TempPathFactory, strict: None) -> Ring:
     """A recording whose nodes were told at each closure that was accepted."""
     ring = Ring(tmp_path_factory.mktemp("ring") / "run.rrd")
-    log, run = RerunLog(path=ring.path, method="graph", config={}), Run(ring_log(3))
+    log, run = begin(ring.path), Run(ring_log(3))
     nodes = np.empty((0, 3))
     for step in run:
         log.log_step(step)
         ring.steps.append(step)
-        assert log.wants_nodes == any(attempt.status == "accepted" for attempt in step.closures)
-        assert isinstance(run.pipeline, Pipeline)
+        assert log.wants_nodes() == any(attempt.status == "accepted" for attempt in step.closures)
         assert isinstance(run.pipeline.localizer, ScanToMap)
         nodes_before = nodes
         if step.node is not None:
             nodes = run.pipeline.localizer.graph.poses()
-        if log.wants_nodes:
+        if log.wants_nodes():
             ring.before[step.scan.index], ring.after[step.scan.index] = nodes_before, nodes
             log.log_nodes(nodes)
     log.close()
@@ -130,19 +148,17 @@ class People:
 def people(tmp_path_factory: pytest.TempPathFactory, strict: None) -> People:
     """Recorded as the command does it."""
     people = People(tmp_path_factory.mktemp("people") / "run.rrd")
-    log, run = RerunLog(path=people.path, method="graph", config={}), Run(drive(230))
+    run = Run(drive(230), observers=[RerunRecording(path=people.path)])
     before = None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "CELLS_MARGIN_M", MARGIN_M)
+        patch.setattr(cells, "CELLS_MARGIN_M", MARGIN_M)
         for step in run:
             assert isinstance(run.pipeline, Pipeline)
-            _record(run, log, step)
             people.steps.append(step)
             after = copy.deepcopy(run.pipeline.grid)
             if step.is_moving.any() and step.scan.index % 7 == 0 and before is not None:
                 people.grids[step.scan.index] = before, after, run.pipeline.localizer.T_map_local
             before = after
-    log.close()
     return people
 
 
@@ -272,14 +288,14 @@ def test_cells_lie_where_the_local_frame_does(tmp_path: Path, rng: np.random.Gen
     points = steps[1].scan.points(steps[1].T_map_base)
     origin = np.floor(10.0 * points[20]) / 10.0 - 0.4
     p_occupied = rng.choice([np.nan, 0.05, 0.5, 0.95], (60, 60))
-    cells = GridMap(p_occupied=p_occupied, resolution_m=0.1, origin=origin)
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    around = GridMap(p_occupied=p_occupied, resolution_m=0.1, origin=origin)
+    log = begin(tmp_path / "run.rrd")
     for step, kept, T in zip(
-        steps, (cells, replace(cells, origin=np.zeros(2))), (np.zeros(3), T_map_local), strict=True
+        steps, (around, replace(around, origin=np.zeros(2))), (np.zeros(3), T_map_local), strict=True
     ):
-        log.log_cells(kept, T, (0.12, 0.8))
+        grid = TestGrid(cells=kept, T_map_local=T, p_free=0.12, p_occupied=0.8)
         is_moving = np.arange(len(points)) == 20
-        log.log_step(replace(step, T_map_base=se2.compose(T, step.T_map_base), is_moving=is_moving))
+        log.log_step(replace(step, T_map_base=se2.compose(T, step.T_map_base), is_moving=is_moving), grid)
     log.close()
     shown = pictures(tmp_path / "run.rrd")
     picture = shown[steps[1].scan.index]
@@ -298,23 +314,20 @@ def test_cells_lie_where_the_local_frame_does(tmp_path: Path, rng: np.random.Gen
 def test_cells_stay_within_their_share_of_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "CELLS_HEAD_START", 0)
-    monkeypatch.setattr(recording, "CELLS_SHARE", 0.0)
-    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(drive(60))
-    assert log.wants_cells
-    for step in run:
-        _record(run, log, step)
-    assert not log.wants_cells
-    log.close()
+    monkeypatch.setattr(cells, "CELLS_HEAD_START", 0)
+    monkeypatch.setattr(cells, "CELLS_SHARE", 0.0)
+    log = RerunRecording(path=tmp_path / "run.rrd")
+    wanted = []
+    for _ in Run(drive(60), observers=[log]):
+        wanted.append(log.wants_cells())  # noqa: PERF401 - at each scan
+    assert wanted[0]
+    assert not wanted[-1]
     assert sum(picture is not None for picture in pictures(tmp_path / "run.rrd").values()) == 1
 
 
 @pytest.mark.parametrize("method", ["odometry", "icp"])
 def test_methods_without_a_test_show_no_cells(method: str, tmp_path: Path) -> None:
-    log, run = RerunLog(path=tmp_path / "run.rrd", method=method, config={}), Run(drive(20), method)
-    for step in run:
-        _record(run, log, step)
-    log.close()
+    Run(drive(20), method, observers=[RerunRecording(path=tmp_path / "run.rrd")]).complete()
     assert "/world/cells" not in rows(tmp_path / "run.rrd")
 
 
@@ -324,9 +337,7 @@ def test_no_cells_are_cropped_where_nothing_is_recorded(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(Pipeline, "crop_test_grid", crop)
     monkeypatch.setattr(OccupancyGrid, "crop", crop)
-    run = Run(drive(30))
-    for step in run:
-        _record(run, NoRunLog(), step)
+    Run(drive(30)).complete()
 
 
 def test_a_recording_holds_scan_map_graph_plots_and_config(tmp_path: Path) -> None:
@@ -355,16 +366,14 @@ def test_a_recording_carries_its_layout(tmp_path: Path) -> None:
 
 def test_a_short_run_has_its_map_and_graph(tmp_path: Path) -> None:
     """Also before the first scans are sent."""
-    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(drive(60))
-    for step in run:
-        _record(run, log, step)
-    log.close()
+    Run(drive(60), observers=[RerunRecording(path=tmp_path / "run.rrd")]).complete()
     for entity, component in (
         ("/world/map/grid", "GridMap:cell_size"),
         ("/world/graph/nodes", "Points3D:positions"),
         ("/world/estimate/way", "LineStrips3D:strips"),
     ):
-        assert max(entries(tmp_path / "run.rrd", entity, component)) >= 40
+        of_scan = set(entries(tmp_path / "run.rrd", entity, component))
+        assert max(of_scan - {59}) >= 40  # the last is that of the finished run
 
 
 @pytest.mark.parametrize(
@@ -372,11 +381,11 @@ def test_a_short_run_has_its_map_and_graph(tmp_path: Path) -> None:
 )
 def test_plots_end_above_most_of_their_values(nis: list[float], top: float, tmp_path: Path) -> None:
     result = replace(record(tmp_path / "run.rrd"), nis=np.array(nis))
-    tops = recording._tops(result)
+    tops = layout.plot_tops(result)
     assert tops["nis"] == pytest.approx(top)
     assert tops["count"] == pytest.approx(1.4 * result.is_valid.sum(axis=1).max())
     assert np.nanmedian(result.stage_ms["step"]) < tops["timing"]
-    without = recording._tops(replace(result, stage_ms={}, is_valid=np.zeros((0, 0), dtype=bool)))
+    without = layout.plot_tops(replace(result, stage_ms={}, is_valid=np.zeros((0, 0), dtype=bool)))
     assert set(without) == {"nis"}
 
 
@@ -386,13 +395,12 @@ def test_events_name_their_scan_and_are_as_loud_as_they_are_serious(tmp_path: Pa
         7: (make_event("match failed", 7, reason="so it is"),),
         8: (make_event("lost", 8, cause="kidnapped", n_scans=8),),
     }
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     for k, step in enumerate(Run(drive(10))):
         log.log_step(replace(step, events=told.get(k, ())))
     log.close()
     texts = entries(tmp_path / "run.rrd", "/log/events", "TextLog:text")
     assert texts == {k: [f"scan {k}: {event.text}" for event in events] for k, events in told.items()}
-    assert texts[7][0] == "scan 7: match failed: so it is"
     levels = entries(tmp_path / "run.rrd", "/log/events", "TextLog:level")
     assert levels == {5: ["INFO"], 7: ["WARN"], 8: ["ERROR"]}
 
@@ -404,30 +412,25 @@ def test_a_recording_is_small(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_is_a_clear_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--rerun off"):
-        RerunLog(path=tmp_path / "no" / "such" / "run.rrd", method="graph", config={})
+        begin(tmp_path / "no" / "such" / "run.rrd")
 
 
 def test_close_may_come_twice(tmp_path: Path) -> None:
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     log.close()
     log.close()
 
 
-def test_off_means_off() -> None:
-    log = NoRunLog()
-    assert not log.wants_cells
-    assert not log.wants_map
-    assert not log.wants_graph
-    assert not log.wants_nodes
+def test_rerun_is_imported_only_when_a_recording_begins() -> None:
     code = (
-        "import sys; from slammot_graph.viz.rerun.recording import NoRunLog; import slammot_graph; NoRunLog().close(); "
-        "sys.exit('rerun' in sys.modules)"
+        "import sys; from slammot_graph.viz.rerun.run import RerunRecording; import slammot_graph; "
+        "slammot_graph.Run([]); RerunRecording(path='run.rrd').close(); sys.exit('rerun' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_step_is_not_changed_by_recording(tmp_path: Path) -> None:
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     step = next(iter(Run(drive(5))))
     before = step.scan.ranges.copy()
     log.log_step(step)
@@ -495,10 +498,10 @@ def test_a_closure_that_is_taken_back_is_no_longer_drawn(tmp_path: Path) -> None
         )
 
     tried = {40: [attempt(1, "accepted")], 60: [attempt(2, "accepted"), attempt(1, "outlier")]}
-    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(drive(70))
+    log, run = begin(tmp_path / "run.rrd"), Run(drive(70))
     for k, step in enumerate(run):
         log.log_step(replace(step, closures=tuple(tried.get(k, ()))))
-        if log.wants_nodes:
+        if log.wants_nodes():
             nodes = run.pipeline.nodes_and_edges()[0]
             log.log_nodes(nodes)
     log.close()
@@ -509,11 +512,11 @@ def test_a_closure_that_is_taken_back_is_no_longer_drawn(tmp_path: Path) -> None
 
 def test_the_graph_view_joins_nodes_that_it_has(ring: Ring) -> None:
     """An edge to a node of another entity would make a node of its own, somewhere."""
-    log, run = RerunLog(path=ring.path.with_name("graph.rrd"), method="graph", config={}), Run(ring_log(3))
+    log, run = begin(ring.path.with_name("graph.rrd")), Run(ring_log(3))
     for step in run:
         log.log_step(step)
     result = run.result()
-    log.finish(result)
+    log.on_finish(result)
     log.close()
     path = ring.path.with_name("graph.rrd")
     assert [name for name in rows(path) if name.startswith("/graph/")] == ["/graph/chain"]
@@ -541,10 +544,10 @@ def test_only_the_latest_attempts_are_drawn_each_with_its_status(tmp_path: Path)
         130: ("waiting",),
         210: ("outlier",),
     }
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     for k, step in enumerate(steps):
         log.log_step(replace(step, closures=tuple(attempt(status) for status in tried.get(k, ()))))
-        assert log.wants_nodes == (k >= 120)  # nobody tells it the nodes
+        assert log.wants_nodes() == (k >= 120)  # nobody tells it the nodes
     log.close()
     expected = {
         "accepted": {120: 1, 130: 0},
@@ -563,14 +566,14 @@ def test_the_graph_before_and_after_waits_for_the_nodes(tmp_path: Path) -> None:
     closure = ClosureAttempt(
         target_node=0, source_node=1, status="accepted", reason="", T_target_source=np.zeros(3)
     )
-    log, run = RerunLog(path=tmp_path / "run.rrd", method="graph", config={}), Run(drive(30))
+    log, run = begin(tmp_path / "run.rrd"), Run(drive(30))
     nodes: list[FloatArray] = []
     for k, step in enumerate(run):
         log.log_step(replace(step, closures=(closure,)) if k == 20 else step)
         if step.node is not None and k <= 20:
             nodes.append(step.T_map_base)
-    log.finish(run.result())
-    assert not log.wants_nodes
+    log.on_finish(run.result())
+    assert not log.wants_nodes()
     log.close()
     ((scan, (before,)),) = strips(tmp_path / "run.rrd", "/world/closures/graph_before").items()
     assert scan == 29
@@ -586,7 +589,7 @@ def test_a_point_tells_its_beam_its_probability_its_reason_and_its_ellipse(tmp_p
     step = list(Run(drive(30)))[-1]
     p_moving = np.where(step.is_valid, np.linspace(0.0, 1.0, len(step.p_moving)), np.nan)
     step = replace(step, p_moving=p_moving, is_moving=p_moving > 0.75)
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     log.log_step(step)
     log.close()
     semi_mm = 2448.0 * np.sqrt(np.linalg.eigvalsh(step.point_cov_map))
@@ -611,7 +614,7 @@ def test_a_point_tells_its_beam_its_probability_its_reason_and_its_ellipse(tmp_p
 
 def test_the_anchor_is_drawn_where_it_changes(tmp_path: Path) -> None:
     steps = list(Run(drive(250)))
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     for step in steps:
         log.log_step(step)
     log.close()
@@ -630,13 +633,33 @@ def test_the_anchor_is_drawn_where_it_changes(tmp_path: Path) -> None:
 def test_maps_are_asked_for_less_often_in_a_longer_run(tmp_path: Path) -> None:
     """Their number grows with the logarithm of the run, so that rendering them costs a fixed time a scan."""
     steps = list(Run(drive(30)))
-    log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
+    log = begin(tmp_path / "run.rrd")
     asked = []
     for k in range(2000):
         log.log_step(steps[-1])
-        if log.wants_map:
+        if log.wants_map():
             asked.append(k)
             log.log_map(GridMap(p_occupied=np.full((2, 2), 0.1), resolution_m=0.1, origin=np.zeros(2)))
     log.close()
     assert 20 <= len(asked) <= 45
     assert sum(asked) < 12 * 2000
+
+
+def test_recording_does_not_change_the_estimate(tmp_path: Path) -> None:
+    """What the recording asks the graph must not move it: the same numbers with and without, to the last bit."""
+    plain = Run(ring_log(3)).complete()
+    recorded = Run(ring_log(3), observers=[RerunRecording(path=tmp_path / "run.rrd")]).complete()
+    assert sum(edge.kind == "closure" for edge in plain.edges) >= 5
+    assert_same_results(recorded, plain)
+
+
+def assert_same_results(result: RunResult, expected: RunResult) -> None:
+    for f in fields(RunResult):
+        a, b = getattr(result, f.name), getattr(expected, f.name)
+        if isinstance(b, np.ndarray):
+            np.testing.assert_array_equal(a, b, err_msg=f.name)
+    np.testing.assert_array_equal(result.grid.p_occupied, expected.grid.p_occupied)
+    for edge, other in zip(result.edges, expected.edges, strict=True):
+        assert (edge.kind, edge.from_node, edge.to_node) == (other.kind, other.from_node, other.to_node)
+        np.testing.assert_array_equal(edge.T_from_to, other.T_from_to)
+        np.testing.assert_array_equal(edge.information, other.information)

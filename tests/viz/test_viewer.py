@@ -18,7 +18,7 @@ from scipy.ndimage import binary_dilation
 from slammot_graph import cli
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.viz import colors
-from slammot_graph.viz.rerun import recording
+from slammot_graph.viz.rerun import cells
 from slammot_graph.viz.rerun.primitives import viewer_executable
 from tests.walkers import write_walkers
 
@@ -220,7 +220,7 @@ def test_every_view_of_a_run_is_drawn(
         assert is_static.sum() > 100
         assert _is_colored(picture, colors.COLOR_MOVING).sum() > 10
         # the cells that the test saw, in the view of the scan only
-        is_free = _is_colored(picture, recording.COLOR_CELLS[1], 0.03)
+        is_free = _is_colored(picture, cells.COLOR_CELLS[1], 0.03)
         if name == "Map":
             assert is_free.sum() < 10
         else:

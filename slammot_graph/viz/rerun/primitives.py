@@ -1,6 +1,6 @@
 """What the recordings of one run and of several share: where they go, how maps and views are made.
 
-With `recording` and `comparison` the only importer of rerun, and only when something is recorded.
+Rerun is imported only when something is recorded.
 Everything in the map frame lies at z = 0 but for small offsets that order the layers.
 """
 
