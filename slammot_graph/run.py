@@ -200,7 +200,7 @@ class _Kept:
         if step.scan.truth is not None and step.scan.truth.T_world_base is not None:
             self.T_world_base.append(step.scan.truth.T_world_base)
         self.n_failed += step.match is not None and step.match.status == "failed"
-        self.events += [(step.scan.index, text) for text in step.events]
+        self.events += [(event.scan, event.text) for event in step.events]
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]

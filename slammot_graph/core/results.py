@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import Event
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
@@ -170,8 +171,8 @@ class StepResult:
     tracks : tuple of TrackState
     node : int or None
         Index of the graph node added at this scan.
-    events : tuple of str
-        What a person should know: "match failed: ...", "closure 12-340 accepted: ...".
+    events : tuple of Event
+        What a person should know.
     closures : tuple of ClosureAttempt
         Loop closures tried at this scan.
     stage_ms : mapping
@@ -196,7 +197,7 @@ class StepResult:
     innovation_nis: float
     tracks: tuple[TrackState, ...]
     node: int | None
-    events: tuple[str, ...]
+    events: tuple[Event, ...]
     stage_ms: Mapping[str, float]
     closures: tuple[ClosureAttempt, ...] = ()
 

@@ -87,14 +87,6 @@ class Localizer(Protocol):
     """Predict, match and commit, in this order, once a scan."""
 
     @property
-    def n_times_lost(self) -> int:
-        """How often the local frame has lost its place."""
-
-    @property
-    def closures(self) -> tuple[ClosureAttempt, ...]:
-        """Loop closures tried by the last `commit`."""
-
-    @property
     def T_map_local(self) -> FloatArray:
         """(3,) where the local frame lies in the map now."""
 
@@ -110,14 +102,8 @@ class Localizer(Protocol):
         narrower by `kernel_factor`.
         """
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, bool, list[str]]:
-        """Keep the scan: in the graph and the local map where it brings something new.
-
-        Returns the number of the node that was added, if any, whether it became a keyframe, and what a person should
-        know.
-        """
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
+        """Keep the scan: in the graph and the local map where it brings something new."""
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""

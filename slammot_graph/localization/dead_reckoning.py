@@ -1,21 +1,26 @@
 """The trajectory that the wheels tell."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.results import GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.localization.base import FIRST_COV, Estimate, FinalEstimate
+from slammot_graph.localization.base import FIRST_COV, CommitResult, Estimate, FinalEstimate
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadReckoningConfig:
+    """Odometry alone."""
 
 
 class DeadReckoning:
     """Odometry alone; the local frame is the map, and starts at the first scan."""
 
     T_map_local = se2.IDENTITY
-    n_times_lost = 0
-    closures: tuple[ClosureAttempt, ...] = ()
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise
@@ -44,10 +49,10 @@ class DeadReckoning:
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, bool, list[str]]:
+    ) -> CommitResult:
         """See `Localizer`."""
         self._history.append(self.estimate)
-        return None, False, []
+        return CommitResult()
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`; there is no graph."""

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import Event, EventKind
 from slammot_graph.core.linalg import invert
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph, PoseGraphConfig
-from slammot_graph.localization.base import FIRST_COV, Estimate, FinalEstimate, fuse, refuse
+from slammot_graph.localization.base import FIRST_COV, CommitResult, Estimate, FinalEstimate, fuse, refuse
 from slammot_graph.localization.scan_poses import ScanPoses
 from slammot_graph.loop_closure.detector import LoopCloser, LoopClosureConfig
 from slammot_graph.loop_closure.submap import Submap
@@ -122,11 +123,6 @@ class ScanToMap:
         self._scan_poses = ScanPoses()
 
     @property
-    def closures(self) -> tuple[ClosureAttempt, ...]:
-        """See `Localizer`."""
-        return self._closures
-
-    @property
     def T_map_local(self) -> FloatArray:
         """See `Localizer`."""
         return self._T_map_local
@@ -228,19 +224,26 @@ class ScanToMap:
 
     def commit(
         self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> tuple[int | None, bool, list[str]]:
+    ) -> CommitResult:
         """See `Localizer`."""
-        events: list[str] = []
+        events: list[Event] = []
         self._closures = ()
         has_points = bool(np.count_nonzero(is_static) >= self.matching.min_pairs)
         if self._match is not None and self._match.status == "failed":
-            events.append(f"match failed: {self._match.reason}")
+            events.append(
+                Event(
+                    kind="match failed",
+                    severity="warning",
+                    scan=scan.index,
+                    data={"reason": self._match.reason},
+                )
+            )
             self._n_failed += has_points and not self._match.is_refused
         else:
             self._n_failed = 0
         why = self._why_lost(scan, has_points)
         if why:
-            events.append(f"lost: {why}, a new local map begins here")
+            events.append(Event(kind="lost", severity="error", scan=scan.index, data={"reason": why}))
             self._leave_local_map()
         if has_points:
             self._n_blind, self._T_odom_seen = 0, scan.T_odom_base
@@ -263,7 +266,13 @@ class ScanToMap:
             T_anchor_base,
             self._cov_independent + self._cov_correlated,
         )
-        return node, is_keyframe, events
+        return CommitResult(
+            node=node,
+            is_keyframe=is_keyframe,
+            is_lost=bool(why),
+            closures=self._closures,
+            events=tuple(events),
+        )
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`."""
@@ -390,7 +399,7 @@ class ScanToMap:
 
     def _add_keyframe(
         self, node: int | None, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> list[str]:
+    ) -> list[Event]:
         """Add the keyframe's scan to the local map; look for loops where that finished it."""
         keyframe = make_keyframe(
             NO_NODE if node is None else node,
@@ -402,10 +411,10 @@ class ScanToMap:
         )
         is_first = not self.local_map.keyframes
         finished = self.local_map.add(keyframe, None if is_first else self._cov_independent)
-        events = list[str]()
+        events = list[Event]()
         if finished and self.closer is not None:
             _, self._closures = self.closer.consider(self._submap(finished))
-            events = [attempt.text for attempt in self._closures]
+            events = [_closure_event(scan, attempt) for attempt in self._closures]
         anchor = self.local_map.anchor.node
         if node is not None and (is_first or finished):
             self._T_map_local = se2.compose(self.graph.pose(node), se2.inverse(self._T_local_node))
@@ -420,3 +429,24 @@ class ScanToMap:
             self._cov_independent = covs[-1]
         self._cov_prior = self._cov_keyframe
         return events
+
+
+_CLOSURE_EVENTS: dict[str, EventKind] = {
+    "accepted": "closure accepted",
+    "waiting": "closure waiting",
+    "refused": "closure refused",
+    "outlier": "closure rejected",
+}
+
+
+def _closure_event(scan: Scan, attempt: ClosureAttempt) -> Event:
+    return Event(
+        kind=_CLOSURE_EVENTS[attempt.status],
+        severity="warning" if attempt.status == "outlier" else "info",
+        scan=scan.index,
+        data={
+            "target_node": attempt.target_node,
+            "source_node": attempt.source_node,
+            "reason": attempt.reason,
+        },
+    )

@@ -675,7 +675,7 @@ class RerunLog:
         times = _times(steps)
         row_of = [row for row, step in enumerate(steps) for _ in step.events]
         if row_of:
-            events = [(step.scan.index, event) for step in steps for event in step.events]
+            events = [(step.scan.index, event.text) for step in steps for event in step.events]
             texts = [f"scan {index}: {event}" for index, event in events]  # the view cuts its own column
             levels = ["WARN" if _is_warning(event) else "INFO" for _, event in events]
             self._send("/log/events", times[row_of], rr.TextLog.columns(text=texts, level=levels))
