@@ -1,7 +1,6 @@
 """Fit the weights of p_moving: what speaks for a cluster against whether it was a person."""
 
 import sys
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -14,9 +13,9 @@ from slammot_graph import get_method
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import reasons
-from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.detection.base import Detection
+from slammot_graph.detection.ellipse_detector import EllipseDetector, EllipseDetectorConfig
 from slammot_graph.detection.probability import NAMES, SHARE_OF_STATIC, WEIGHTS, cluster_evidence
-from slammot_graph.localization import Estimate
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import SimulatedLog, simulate
 
@@ -26,19 +25,18 @@ SHRINK = 1e-3
 N_ROUND = 2
 
 
-class _Watched(Pipeline):
-    """Keeps the evidence of each cluster, and how many beams had which reason."""
+class _Watched(EllipseDetector):
+    """Keeps the latest detection and the evidence of its clusters."""
 
-    def __init__(self, config: PipelineConfig) -> None:
-        super().__init__(config)
-        self.evidence: FloatArray = np.empty((0, len(NAMES)))
-        self.detection: Detection | None = None
+    evidence: FloatArray = np.empty((0, len(NAMES)))
+    detection: Detection | None = None
 
-    def _probability(self, scan: Scan, detection: Detection, matched: Estimate, hints: Any) -> FloatArray:
-        points = scan.points(matched.T_local_base)
-        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, hints.predicted_positions)
+    def p_moving(
+        self, scan: Scan, detection: Detection, points: FloatArray, predicted_positions: FloatArray
+    ) -> FloatArray:
+        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, predicted_positions)
         self.detection = detection
-        return super()._probability(scan, detection, matched, hints)
+        return super().p_moving(scan, detection, points, predicted_positions)
 
 
 def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: int) -> Scores:
@@ -51,12 +49,14 @@ def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: 
         aside = recorded.is_of_the_log(walkers, reference)
     config = get_method("graph").config
     assert isinstance(config, PipelineConfig)
-    pipeline = _Watched(config)
+    assert isinstance(config.detector, EllipseDetectorConfig)
+    pipeline = Pipeline(config)
+    pipeline.detector = watched = _Watched(config.detector, max_range_m=config.max_range_m)
     evidence, beams, moving = [], [], []
     by_reason = np.zeros((len(reasons.REASONS), 2))
     for scan in walkers:
         step = pipeline.step(scan)
-        found = pipeline.detection
+        found = watched.detection
         assert found is not None
         is_person = walkers.is_moving[scan.index]
         is_judged = step.is_valid & ~aside[scan.index]
@@ -67,7 +67,7 @@ def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: 
         cluster = found.cluster[is_called]
         n = np.bincount(cluster, minlength=found.n_clusters)
         hit = np.bincount(cluster, is_person[is_called], minlength=found.n_clusters)
-        evidence += pipeline.evidence[n > 0].round(3).tolist()
+        evidence += watched.evidence[n > 0].round(3).tolist()
         beams += n[n > 0].tolist()
         moving += hit[n > 0].tolist()
     pipeline.close()

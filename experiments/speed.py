@@ -31,7 +31,7 @@ from slammot_graph.detection import ellipse_test as ellipse
 from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
-from slammot_graph.registration import _covariance_kernels, _solve_kernels
+from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
 from slammot_graph.run import make_pipeline
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
 from slammot_graph.simulation.robot import simulate_odometry
@@ -55,7 +55,8 @@ KERNELS = {
     ellipse._kernels: ("test_beams", "seen_through"),
     ellipse._cluster_kernels: ("group_moving",),
     _solve_kernels: ("match_point_to_line",),
-    _covariance_kernels: ("residual_scatter", "match_covariance", "innovate", "fuse"),
+    _scatter_kernels: ("residual_scatter",),
+    _covariance_kernels: ("match_covariance", "innovate", "fuse"),
     _local_map_kernels: ("estimate_normals", "insert_points"),
     grid: ("update_beams",),
 }
@@ -157,7 +158,7 @@ def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
             again.clear()
             step = pipeline.step(replace(scan))
             n_points = int(np.count_nonzero(step.is_valid & ~step.is_moving))
-            touched = int(np.count_nonzero(pipeline.grid.stamp == scan.index))  # type: ignore[union-attr]
+            touched = int(np.count_nonzero(pipeline.detector.grid.stamp == scan.index))  # type: ignore[union-attr]
             rows.append(
                 {
                     "step": 1e3 * step.stage_ms["step"] - sum(again.values()),

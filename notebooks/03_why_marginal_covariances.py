@@ -59,10 +59,10 @@ print(f"{log.n_scans} scans over {path_m[-1]:.0f} m, {log.objects.shape[1]} peop
 shown_scan = 1175
 METHODS = {"relative": "graph", "constant": "graph-fixed", "absolute": "graph-absolute"}
 runs, steps = {}, {}
-for test_covariance in METHODS:
-    config = replace(get_method("graph-noloop").config, test_covariance=test_covariance)
-    runs[test_covariance] = Run(log, "graph-noloop", config=config)
-    steps[test_covariance] = list(runs[test_covariance])
+for name, method in METHODS.items():
+    config = replace(get_method("graph-noloop").config, detector=get_method(method).config.detector)
+    runs[name] = Run(log, "graph-noloop", config=config)
+    steps[name] = list(runs[name])
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained")
 for name, of_method in steps.items():

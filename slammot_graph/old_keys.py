@@ -107,7 +107,8 @@ def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: 
     detector = default.detector if isinstance(default.detector, EllipseDetectorConfig) else None
     has_detector = old.get("filter_moving", detector is not None)
     is_constant = old.get("test_covariance", "constant") == "constant" and (
-        "test_covariance" in old or (detector is not None and isinstance(detector.test_covariance, ConstantNoise))
+        "test_covariance" in old
+        or (detector is not None and isinstance(detector.test_covariance, ConstantNoise))
     )
     new: dict[str, Any] = {}
     told: dict[str, str] = {}

@@ -120,7 +120,9 @@ def load(tmp_path: Path, text: str, method: str = "graph") -> PipelineConfig:
         (OLD_PAPER, "docpfo"),
         (OLD_PAPER.replace("filter_moving = true", "filter_moving = false"), "icp"),
         (
-            OLD_PAPER.replace("filter_moving = true", "filter_moving = false").replace("scan-to-scan", "none"),
+            OLD_PAPER.replace("filter_moving = true", "filter_moving = false").replace(
+                "scan-to-scan", "none"
+            ),
             "odometry",
         ),
     ],
@@ -197,7 +199,9 @@ def test_the_warning_names_each_new_key(tmp_path: Path) -> None:
 
 
 def test_a_bad_value_is_told_by_its_new_path(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"old\.toml: detector\.ellipse_test\.n_sigma must be positive, not -1"):
+    with pytest.raises(
+        ConfigError, match=r"old\.toml: detector\.ellipse_test\.n_sigma must be positive, not -1"
+    ):
         load(tmp_path, "motion.n_sigma = -1")
     with pytest.raises(ConfigError, match=r"old\.toml: detector\.ellipse_test: unknown key 'n_sigmas'"):
         load(tmp_path, "motion.n_sigmas = 1")

@@ -9,7 +9,9 @@ from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 from slammot_graph.core.types import FloatArray
+from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.graph import PoseGraph
+from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
@@ -145,7 +147,8 @@ def test_a_match_that_determines_nothing_is_a_failure_not_an_error(rng: np.rando
     for scan in log.scans[1:]:
         bad = rng.random(LASER.n_beams) < 0.6
         scan.ranges[bad] += rng.uniform(0.1, 0.35, bad.sum())
-    config = PipelineConfig(filter_moving=False, n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
+    localizer = ScanToMapConfig(n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
+    config = PipelineConfig(localizer=localizer, detector=NoDetectionConfig())
     result = Run(log, config=config).complete()
     assert any(text == "match failed: no direction is determined" for _, text in result.events)
     assert len(result.nodes) >= 2
@@ -188,7 +191,7 @@ def test_scans_of_different_lasers_are_padded_with_beams_that_are_not_valid() ->
 
 def test_failures_and_events_are_counted() -> None:
     log = covered(carried(drive(20), 9), 9)
-    result = Run(log, config=PipelineConfig(n_lost=2)).complete()
+    result = Run(log, config=PipelineConfig(localizer=ScanToMapConfig(n_lost=2))).complete()
     assert result.events[0] == (9, "match failed: only 0 points found a partner")
     assert [scan for scan, _ in result.events] == [9, 10, 11, 11]
     assert result.events[3][1] == "lost: 2 matches failed in a row, a new local map begins here"

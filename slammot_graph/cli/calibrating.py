@@ -98,20 +98,21 @@ def _settings(method: str) -> "tuple[PipelineConfig, OdometryNoise]":
     from slammot_graph.pipeline import PipelineConfig
 
     config = get_method(method).config
-    if not isinstance(config, PipelineConfig) or config.matcher != "scan-to-map":
+    if not isinstance(config, PipelineConfig) or not config.has_graph:
         raise InputError(f"--method {method} does not match onto a local map; take graph")
     noise = config.odometry_noise
     return config, noise if isinstance(noise, OdometryNoise) else OdometryNoise()
 
 
 def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int | None) -> "Windows":
-    """Run the method, without loop closure and hindsight, and cut the log into windows."""
+    """Run the method, without loop closure, and cut the log into windows."""
     import numpy as np
 
+    from slammot_graph.core.config import from_plain
     from slammot_graph.odometry.self_calibration import cut_windows
     from slammot_graph.pipeline import Pipeline
 
-    pipeline = Pipeline(replace(config, close_loops=False, hindsight=False))
+    pipeline = Pipeline(from_plain({"localizer": {"close_loops": False}}, config))
     T_odom_base, T_anchor_base, cov_independent, cov_correlated, anchors, is_usable = [], [], [], [], [], []
     try:
         with scan_progress(log, method, max_scans) as show:

@@ -22,6 +22,7 @@ from slammot_graph.cli.console import (
     command,
     figure_table,
     number,
+    printed_deprecations,
     scan_progress,
     stderr,
     stdout,
@@ -95,7 +96,8 @@ def run_command(
     check_max_scans(max_scans)
     settings = get_method(method).config
     if config is not None:
-        settings = load_config(config, settings)
+        with printed_deprecations():
+            settings = load_config(config, settings)
     opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
 
     from slammot_graph.run import Run
@@ -223,9 +225,9 @@ def _record_cells(run: "Run", run_log: "RunLog", step: "StepResult") -> None:
     from slammot_graph.viz.rerun.recording import CELLS_HALF_SIDE_M
 
     pipeline = run.pipeline
-    if isinstance(pipeline, Pipeline) and pipeline.config.filter_moving:
+    if isinstance(pipeline, Pipeline) and pipeline.detector.grid is not None:
         cells, T_map_local = pipeline.crop_test_grid(step.T_map_base[:2], CELLS_HALF_SIDE_M)
-        limits = pipeline.grid.config.p_free, pipeline.grid.config.p_occupied
+        limits = pipeline.detector.grid.config.p_free, pipeline.detector.grid.config.p_occupied
         run_log.log_cells(cells, T_map_local, limits)
 
 

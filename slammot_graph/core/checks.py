@@ -95,7 +95,7 @@ class Checked:
             A value out of its range, or none of its choices.
         """
         owner = type(self).__name__
-        for name, allowed in _declared(type(self)):
+        for name, allowed in _declared(type(self)):  # type: ignore[arg-type]  # classes are hashable
             value = getattr(self, name)
             if isinstance(allowed, Range):
                 if isinstance(value, int | float) and value not in allowed:

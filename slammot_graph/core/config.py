@@ -70,8 +70,9 @@ def from_plain(values: Mapping[str, Any], default: T, *, source: str = "config")
     ConfigError
         A key that does not exist, or a value that does not fit.
     """
-    if hasattr(type(default), "with_new_keys"):
-        values = type(default).with_new_keys(values, default, source)
+    with_new_keys = getattr(type(default), "with_new_keys", None)
+    if with_new_keys is not None:
+        values = with_new_keys(values, default, source)
     return typing.cast(T, _replace(default, values, _Place(source)))
 
 
@@ -114,7 +115,9 @@ class _Place:
     def refused(self, error: FieldError) -> ConfigError:
         """Name the field by its whole path."""
         name = ".".join((*self.keys, error.key) if error.key else self.keys)
-        return ConfigError(f"{self.source}: {name} {error.problem}" if name else f"{self.source}: {error.problem}")
+        return ConfigError(
+            f"{self.source}: {name} {error.problem}" if name else f"{self.source}: {error.problem}"
+        )
 
     def wrong(self, expected: str, value: Any) -> ConfigError:
         return self.error(f"expected {expected}, not {_shown(value)}")

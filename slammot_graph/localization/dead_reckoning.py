@@ -47,9 +47,7 @@ class DeadReckoning:
         """See `Localizer`; there is none."""
         return self.estimate, None
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> CommitResult:
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
         self._history.append(self.estimate)
         return CommitResult()

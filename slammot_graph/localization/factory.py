@@ -14,5 +14,5 @@ def make_localizer(config: LocalizerConfig, noise: OdometryNoise | ConstantNoise
     if isinstance(config, DeadReckoningConfig):
         return DeadReckoning(noise)
     if isinstance(config, ScanToScanConfig):
-        return ScanToScan(noise, config)
+        return ScanToScan(noise, config.point_to_point)
     return ScanToMap(noise, config)

@@ -222,9 +222,7 @@ class ScanToMap:
             return match, T_local_base, cov
         return None
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> CommitResult:
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
         events: list[Event] = []
         self._closures = ()

@@ -31,9 +31,9 @@ class ScanToScanConfig:
 class ScanToScan(DeadReckoning):
     """Dead reckoning whose increments come from point-to-point ICP, started at the odometry's."""
 
-    def __init__(self, noise: OdometryNoise | ConstantNoise, config: ScanToScanConfig) -> None:
+    def __init__(self, noise: OdometryNoise | ConstantNoise, config: PointToPointConfig) -> None:
         super().__init__(noise)
-        self.matcher = make_matcher(config.point_to_point)
+        self.matcher = make_matcher(config)
         self._before: Estimate = self.estimate
         self._laser_base: FloatArray = np.zeros(2)
         self._reference: ReferenceScan | None = None
@@ -61,9 +61,7 @@ class ScanToScan(DeadReckoning):
             )
         return self.estimate, match
 
-    def commit(
-        self, scan: Scan, points_base: FloatArray, is_static: BoolArray
-    ) -> CommitResult:
+    def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
         self._reference = ReferenceScan(points_base=points_base, is_used=is_static)
         return super().commit(scan, points_base, is_static)

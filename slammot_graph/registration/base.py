@@ -8,7 +8,7 @@ from slammot_graph.core.types import BoolArray, FloatArray
 
 __all__ = ["Match", "MatchPrior", "MatchResult", "Matcher", "ReferenceScan"]
 
-ReferenceT = TypeVar("ReferenceT", contravariant=True)
+ReferenceT_contra = TypeVar("ReferenceT_contra", contravariant=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,12 +55,12 @@ class ReferenceScan:
     is_used: BoolArray
 
 
-class Matcher(Protocol[ReferenceT]):
+class Matcher(Protocol[ReferenceT_contra]):
     """Finds the pose of a scan against a reference: a local map, or another scan."""
 
     def match(
         self,
-        reference: ReferenceT,
+        reference: ReferenceT_contra,
         points_base: FloatArray,
         is_static: BoolArray,
         laser_base: FloatArray,

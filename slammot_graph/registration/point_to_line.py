@@ -7,13 +7,21 @@ from typing import Annotated
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.checks import Checked, Count, NotNegative, Positive, PositiveOrInfinite, PositiveShare, Range
+from slammot_graph.core.checks import (
+    Checked,
+    Count,
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    PositiveShare,
+    Range,
+)
 from slammot_graph.core.linalg import covariance_of, invert
 from slammot_graph.core.results import MatchResult, MatchStatus
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap
-from slammot_graph.registration.base import Match, MatchPrior
 from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
+from slammot_graph.registration.base import Match, MatchPrior
 
 
 @dataclass(frozen=True, kw_only=True)

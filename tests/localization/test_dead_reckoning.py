@@ -16,7 +16,8 @@ def test_trajectory_is_the_odometry_from_its_start() -> None:
     for k, scan in enumerate(log):
         predicted = localizer.predict(scan)
         matched, match = localizer.match(scan.points_base(), scan.is_valid())
-        assert localizer.commit(scan, scan.points_base(), scan.is_valid()) == (None, False, [])
+        committed = localizer.commit(scan, scan.points_base(), scan.is_valid())
+        assert (committed.node, committed.is_keyframe, committed.events) == (None, False, ())
         assert match is None
         assert matched is predicted
         np.testing.assert_allclose(predicted.T_local_base, expected[k], atol=1e-12)

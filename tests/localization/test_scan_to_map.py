@@ -34,8 +34,8 @@ def step(
     points, is_valid = scan.points_base(), scan.is_valid(max_range)
     predicted = localizer.predict(scan)
     matched, match = localizer.match(points, is_valid)
-    node, _, events = localizer.commit(scan, points, is_valid)
-    return predicted, matched, match, node, events
+    committed = localizer.commit(scan, points, is_valid)
+    return predicted, matched, match, committed.node, [event.text for event in committed.events]
 
 
 def test_room_is_followed_with_nodes_at_keyframes(localizer: ScanToMap) -> None:

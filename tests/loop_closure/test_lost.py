@@ -63,7 +63,8 @@ def test_a_carried_robot_knows_that_it_is_lost_and_finds_itself_again(seed: int)
 
     # in the dark nothing is decided, then the matches fail
     assert all(
-        step.events == ("match failed: only 0 points found a partner",) for step in steps[back - 10 : back]
+        [event.text for event in step.events] == ["match failed: only 0 points found a partner"]
+        for step in steps[back - 10 : back]
     )
     (lost,) = (scan for scan, text in result.events if text.startswith("lost: "))
     assert lost == back

@@ -12,9 +12,9 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping._local_map_kernels import LINE_FIRST_M2
 from slammot_graph.registration import _solve_kernels
-from slammot_graph.registration._solve_kernels import POINT_WEIGHT
 
 seeds = st.integers(0, 2**32 - 1)
+POINT_WEIGHT = 0.2
 CELL = 0.0625  # a power of two: shifts by whole cells are exact
 REACH_CELLS = 6
 
@@ -277,7 +277,7 @@ def accumulated(
     is_used = np.isfinite(points[:, 0])
     _solve_kernels.accumulate(
         field.points, field.normals, field.nearest, 1.0 / CELL, field.first, points, is_used, laser, T,
-        0.4**2, scale**2, h, g, stats,
+        0.4**2, scale**2, POINT_WEIGHT, h, g, stats,
     )  # fmt: skip
     return h, g, stats
 

@@ -13,7 +13,7 @@ from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
-from slammot_graph.registration import _covariance_kernels, _solve_kernels
+from slammot_graph.registration import _covariance_kernels, _scatter_kernels
 from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
 from tests.rooms import CORRIDOR, LASER, ROOM, box, take_scan
 
@@ -81,7 +81,7 @@ def pairs_of(scan: Scan, local_map: LocalMap, T: FloatArray, max_range: float = 
         J = R @ np.array([[1.0, 0.0, -p[1]], [0.0, 1.0, p[0]]])  # of q
         s2 = CONFIG.kernel_scale_m**2
         if not n.any():
-            w = _solve_kernels.POINT_WEIGHT * (s2 / (s2 + offset @ offset)) ** 2
+            w = CONFIG.point_weight * (s2 / (s2 + offset @ offset)) ** 2
             rows += [J[0], J[1]]
             weights += [w, w]
             numbers += [m, m]
@@ -129,7 +129,7 @@ def scatter_twin(
 
 def scatter(scan: Scan, local_map: LocalMap, T: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     white, common, inherited = np.empty((3, 3, 3))
-    _covariance_kernels.residual_scatter(
+    _scatter_kernels.residual_scatter(
         local_map.points,
         local_map.normals,
         local_map.nearest,
@@ -141,6 +141,7 @@ def scatter(scan: Scan, local_map: LocalMap, T: FloatArray) -> tuple[FloatArray,
         T,
         local_map.config.reach_m**2,
         CONFIG.kernel_scale_m**2,
+        CONFIG.point_weight,
         CONFIG.line_gap_m,
         local_map.owner,
         local_map.T_local_keyframes,

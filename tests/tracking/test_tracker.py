@@ -1,6 +1,4 @@
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -11,15 +9,13 @@ from scipy.optimize import linear_sum_assignment
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.linalg import mahalanobis2
-from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection.ellipse_test import Detection
-from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.tracking._kernels import OUTSIDE, join_nearest
-from slammot_graph.tracking.tracker import Track, Tracker, TrackerConfig
+from slammot_graph.tracking.base import Track, track_states
+from slammot_graph.tracking.tracker import KalmanTracker, KalmanTrackerConfig
 
 
-def update(tracker: Tracker, stamp_s: float, *centres: FloatArray) -> list[Track]:
+def update(tracker: KalmanTracker, stamp_s: float, *centres: FloatArray) -> list[Track]:
     k = len(centres)
     beams = [np.arange(3 * c, 3 * c + 3) for c in range(k)]
     return tracker.update(stamp_s, np.array(centres).reshape(-1, 2), np.zeros((k, 2, 2)), beams)
@@ -30,7 +26,7 @@ def at(t: float, x0: float = 0.0, y0: float = 0.0, vx: float = 1.0, vy: float = 
 
 
 def test_a_walker_is_confirmed_and_followed(rng: np.random.Generator) -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     reported = [update(tracker, 0.1 * k, at(0.1 * k) + rng.normal(0, 0.02, 2)) for k in range(60)]
     assert [len(tracks) for tracks in reported[:4]] == [0, 0, 1, 1]
     assert {track.track_id for tracks in reported for track in tracks} == {0}
@@ -41,8 +37,10 @@ def test_a_walker_is_confirmed_and_followed(rng: np.random.Generator) -> None:
 
 
 def test_one_prediction_and_correction_by_hand() -> None:
-    config = TrackerConfig(acceleration_std_m_s2=2.0, centre_std_m=0.5, start_speed_std_m_s=3.0, n_confirm=1)
-    tracker = Tracker(config)
+    config = KalmanTrackerConfig(
+        acceleration_std_m_s2=2.0, centre_std_m=0.5, start_speed_std_m_s=3.0, n_confirm=1
+    )
+    tracker = KalmanTracker(config)
     update(tracker, 10.0, np.zeros(2))
     track = update(tracker, 10.5, np.array([1.0, 0.0]))[0]
     # x and v_x alone: P = [[.25, 0], [0, 9]], one step of 0.5 s, one measurement of variance .25
@@ -54,7 +52,7 @@ def test_one_prediction_and_correction_by_hand() -> None:
 
 
 def test_the_id_survives_a_short_occlusion_without_beams() -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     for k in range(15):
         update(tracker, 0.1 * k, at(0.1 * k))
     for k in range(15, 22):
@@ -66,7 +64,7 @@ def test_the_id_survives_a_short_occlusion_without_beams() -> None:
 
 
 def test_a_long_occlusion_ends_the_track() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=0.5))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=0.5))
     for k in range(10):
         update(tracker, 0.1 * k, at(0.1 * k))
     for k in range(10, 16):
@@ -78,13 +76,13 @@ def test_a_long_occlusion_ends_the_track() -> None:
 
 
 def test_false_alarms_here_and_there_are_never_reported() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=0.3))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=0.3))
     for k in range(20):
         assert update(tracker, 0.1 * k, np.array([7.0 * k, -3.0])) == []
 
 
 def test_crossing_walkers_keep_their_ids(rng: np.random.Generator) -> None:
-    tracker = Tracker(TrackerConfig(centre_std_m=0.05))
+    tracker = KalmanTracker(KalmanTrackerConfig(centre_std_m=0.05))
     for k in range(50):
         t = 0.1 * k
         centres = [at(t, -2.5, -1.25, 1.0, 0.5), at(t, -2.5, 1.25, 1.0, -0.5)]
@@ -99,10 +97,10 @@ def test_crossing_walkers_keep_their_ids(rng: np.random.Generator) -> None:
 
 
 def test_covariance_of_a_track_is_honest(rng: np.random.Generator) -> None:
-    config, dt = TrackerConfig(acceleration_std_m_s2=1.0, centre_std_m=0.1, gate=100.0), 0.1
+    config, dt = KalmanTrackerConfig(acceleration_std_m_s2=1.0, centre_std_m=0.1, gate=100.0), 0.1
     nees, position_nees = [], []
     for _ in range(60):
-        tracker, state = Tracker(config), np.array([*rng.normal(size=2), *rng.normal(size=2)])
+        tracker, state = KalmanTracker(config), np.array([*rng.normal(size=2), *rng.normal(size=2)])
         for k in range(25):
             tracks = update(tracker, dt * k, state[:2] + rng.normal(0, 0.1, 2))
             truth, a = state, rng.normal(size=2)
@@ -116,14 +114,14 @@ def test_covariance_of_a_track_is_honest(rng: np.random.Generator) -> None:
 
 
 def test_what_the_pose_adds_to_a_centre_counts() -> None:
-    tracker = Tracker(TrackerConfig(n_confirm=1))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=1))
     uncertain = np.array([[[0.5, 0.1], [0.1, 0.2]]])
     track = tracker.update(0.0, np.zeros((1, 2)), uncertain, [np.arange(2)])[0]
     np.testing.assert_allclose(track.cov[:2, :2], uncertain[0] + 0.12**2 * np.eye(2))
 
 
 def test_a_backward_stamp_counts_as_no_time() -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     for k in range(20):
         tracks = update(tracker, 0.1 * k, at(0.1 * k))
     state = tracks[0].state
@@ -135,7 +133,7 @@ def test_a_backward_stamp_counts_as_no_time() -> None:
 
 @pytest.mark.parametrize("back_s", [0.5, 2.0, 1e6])
 def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=1.0))
     for k in range(20):
         tracks = update(tracker, 2e6 + 0.1 * k, at(0.1 * k))
     assert [track.track_id for track in tracks] == [0]
@@ -151,7 +149,7 @@ def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
 
 
 def test_who_has_walked_is_expected_where_he_goes() -> None:
-    tracker = Tracker(TrackerConfig(min_way_m=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(min_way_m=1.0))
     assert tracker.predicted_positions(0.0).shape == (0, 2)
     displaced = []
     for k in range(30):
@@ -167,7 +165,7 @@ def test_who_has_walked_is_expected_where_he_goes() -> None:
 
 
 def test_who_has_walked_and_stands_is_still_expected() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=0.5))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=0.5))
     for k in range(60):
         update(tracker, 0.1 * k, at(min(0.1 * k, 3.0)))
     np.testing.assert_allclose(tracker.predicted_positions(6.0), [at(3.0)], atol=0.05)
@@ -177,7 +175,7 @@ def test_who_has_walked_and_stands_is_still_expected() -> None:
 
 
 def test_what_is_not_confirmed_is_not_expected() -> None:
-    tracker = Tracker(TrackerConfig(n_confirm=3, min_way_m=0.1, gate=100.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=3, min_way_m=0.1, gate=100.0))
     for k in range(2):
         update(tracker, 0.5 * k, at(0.5 * k))
     assert np.hypot(*tracker.tracks[0].state[:2]) > 0.1
@@ -186,12 +184,12 @@ def test_what_is_not_confirmed_is_not_expected() -> None:
     assert len(tracker.predicted_positions(1.0)) == 1
 
 
-def update_with(tracker: Tracker, stamp_s: float, centre: FloatArray, is_proven: bool) -> list[Track]:
+def update_with(tracker: KalmanTracker, stamp_s: float, centre: FloatArray, is_proven: bool) -> list[Track]:
     return tracker.update(stamp_s, centre[None], np.zeros((1, 2, 2)), [np.arange(3)], np.array([is_proven]))
 
 
 def test_what_no_free_cell_proves_begins_no_track_and_keeps_none_alive() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=1.0))
     for k in range(10):
         assert update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=False) == []
     assert tracker.tracks == []
@@ -208,14 +206,14 @@ def test_what_no_free_cell_proves_begins_no_track_and_keeps_none_alive() -> None
 
 
 def test_one_proof_makes_up_for_the_time_without() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=1.0))
     for k in range(60):
         tracks = update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=k % 9 == 0 or k < 3)
     assert [track.track_id for track in tracks] == [0]
 
 
 def test_nothing_seen_nothing_tracked() -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     assert update(tracker, 0.0) == []
     assert update(tracker, 5.0) == []
 
@@ -225,13 +223,13 @@ def test_nothing_seen_nothing_tracked() -> None:
 )
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_impossible_tracks_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"tracks.{name} must be positive, not {value}"):
-        TrackerConfig(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=f"KalmanTrackerConfig.{name} must be positive, not {value}"):
+        KalmanTrackerConfig(**{name: value})  # type: ignore[arg-type]
 
 
 def test_a_track_needs_a_hit() -> None:
-    with pytest.raises(ConfigError, match=r"tracks\.n_confirm must be at least 1, not 0"):
-        TrackerConfig(n_confirm=0)
+    with pytest.raises(ConfigError, match=r"KalmanTrackerConfig\.n_confirm must be at least 1, not 0"):
+        KalmanTrackerConfig(n_confirm=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +246,7 @@ class Clusters:
 class PlainTracker:
     """The tracker in the filter's textbook form, a track at a time."""
 
-    def __init__(self, config: TrackerConfig) -> None:
+    def __init__(self, config: KalmanTrackerConfig) -> None:
         self.config = config
         self.tracks: list[Track] = []
         self.clock_s = -np.inf
@@ -349,8 +347,8 @@ def people_seen(rng: np.random.Generator, n_people: int, room_m: float, n_scans:
 def test_the_tracker_does_what_the_textbook_says(
     seed: int, n_people: int, room_m: float, gate: float
 ) -> None:
-    config = TrackerConfig(gate=gate, max_missed_s=0.5)
-    tracker, plain = Tracker(config), PlainTracker(config)
+    config = KalmanTrackerConfig(gate=gate, max_missed_s=0.5)
+    tracker, plain = KalmanTracker(config), PlainTracker(config)
     for scan in people_seen(np.random.default_rng(seed), n_people, room_m, 30):
         confirmed = tracker.update(scan.stamp_s, scan.centres, scan.covs, scan.beams, scan.is_proven)
         plain.update(scan)
@@ -398,7 +396,7 @@ def test_nearest_tracks_are_joined_only_where_that_is_the_one_best_joining(
 
 
 def test_a_track_handed_out_stays_as_it_was() -> None:
-    tracker = Tracker(TrackerConfig(n_confirm=1))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=1))
     before = update(tracker, 0.0, at(0.0))[0]
     state, cov = before.state.copy(), before.cov.copy()
     update(tracker, 0.5, at(0.5))
@@ -406,24 +404,19 @@ def test_a_track_handed_out_stays_as_it_was() -> None:
     np.testing.assert_array_equal(before.cov, cov)
 
 
-def test_tracks_are_reported_in_the_map_frame(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pipeline = Pipeline(PipelineConfig(matcher="none", test_covariance="constant"))
-    T_map_local = np.array([3.0, -2.0, 2.5])
-    monkeypatch.setattr(pipeline.localizer, "T_map_local", T_map_local)
+def test_tracks_are_reported_in_the_map_frame(rng: np.random.Generator) -> None:
+    tracker, T_map_local = KalmanTracker(KalmanTrackerConfig()), np.array([3.0, -2.0, 2.5])
     uncertain = np.array([[[0.5, 0.1], [0.1, 0.2]], [[0.01, -0.03], [-0.03, 0.3]]])
     places, velocities = rng.normal(0.0, 9.0, (2, 2)), rng.normal(size=(2, 2))
     beams = [np.arange(3), np.arange(5, 9)]
     for k in range(5):
-        tracks = pipeline.tracker.update(0.1 * k, places + 0.1 * k * velocities, uncertain, beams)
-    nothing = Detection.nothing(np.ones(9, dtype=np.bool_))
-    reported = pipeline._track(cast(Scan, SimpleNamespace(stamp=0.4)), nothing, np.zeros((9, 2)))
-    pipeline.close()
+        tracks = tracker.update(0.1 * k, places + 0.1 * k * velocities, uncertain, beams)
+    reported = track_states(tracks, T_map_local)
     R = se2.rotation(2.5)
     assert [state.track_id for state in reported] == [0, 1]
     for state, track in zip(reported, tracks, strict=True):
         np.testing.assert_allclose(state.position, T_map_local[:2] + R @ track.state[:2], rtol=1e-12)
         np.testing.assert_allclose(state.velocity, R @ track.state[2:], rtol=1e-12)
         np.testing.assert_allclose(state.position_cov, R @ track.cov[:2, :2] @ R.T, rtol=1e-12)
-        assert len(state.beams) == 0
+        np.testing.assert_array_equal(state.beams, track.beams)
+    assert track_states([], T_map_local) == ()

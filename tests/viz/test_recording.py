@@ -18,6 +18,7 @@ from slammot_graph.cli.running import _record
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.events import Event
 from slammot_graph.core.results import ClosureAttempt, ClosureStatus, GridMap, RunResult, StepResult
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.localization import ScanToMap
@@ -136,7 +137,7 @@ def people(tmp_path_factory: pytest.TempPathFactory, strict: None) -> People:
             assert isinstance(run.pipeline, Pipeline)
             _record(run, log, step)
             people.steps.append(step)
-            after = copy.deepcopy(run.pipeline.grid)
+            after = copy.deepcopy(run.pipeline.detector.grid)
             if step.is_moving.any() and step.scan.index % 7 == 0 and before is not None:
                 people.grids[step.scan.index] = before, after, run.pipeline.localizer.T_map_local
             before = after
@@ -189,7 +190,7 @@ def pictures(path: Path) -> dict[int, Picture | None]:
 
 def states_of(p_occupied: FloatArray) -> IntArray:
     """States of cells: 0 unknown, 1 free, 2 occupied."""
-    config = get_method("graph").config.local_grid
+    config = get_method("graph").config.detector.local_grid
     with np.errstate(invalid="ignore"):
         return np.where(p_occupied < config.p_free, 1, np.where(p_occupied > config.p_occupied, 2, 0))
 
@@ -377,9 +378,10 @@ def test_plots_end_above_most_of_their_values(nis: list[float], top: float, tmp_
 
 
 def test_events_name_their_scan(tmp_path: Path) -> None:
+    failed = Event(kind="match failed", severity="warning", scan=7, data={"reason": "so it is"})
     log = RerunLog(path=tmp_path / "run.rrd", method="graph", config={})
     for k, step in enumerate(Run(drive(10))):
-        log.log_step(replace(step, events=("match failed: so it is",) if k == 7 else ()))
+        log.log_step(replace(step, events=(failed,) if k == 7 else ()))
     log.close()
     texts = entries(tmp_path / "run.rrd", "/log/events", "TextLog:text")
     assert texts == {7: ["scan 7: match failed: so it is"]}
