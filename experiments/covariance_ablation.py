@@ -11,6 +11,8 @@ from experiments.figures import panels, save
 from experiments.measures import point_scores
 from experiments.tables import Table, holm, median_interval, p_text, paired_p, write_tables
 from slammot_graph import Run, get_method
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
+from slammot_graph.detection.ellipse_test import CommonModeConfig, EllipseTestConfig
 from slammot_graph.evaluation import evaluate_points
 from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.pipeline import PipelineConfig
@@ -36,17 +38,21 @@ def configured(covariance: str) -> PipelineConfig:
     """`graph-noloop` with one of the covariances in the test; closures would bound the absolute one."""
     config = get_method("graph-noloop").config
     assert isinstance(config, PipelineConfig)
+    return replace(config, detector=_detector(covariance))
+
+
+def _detector(covariance: str) -> EllipseDetectorConfig:
     if covariance == "paper":
-        return replace(config, test_covariance="constant")
+        return EllipseDetectorConfig(test_covariance=ConstantNoise())
     if covariance == "tuned":
-        return replace(config, test_covariance="constant", constant_noise=TUNED)
+        return EllipseDetectorConfig(test_covariance=TUNED)
     if covariance == "common":
-        return replace(config, motion=replace(config.motion, is_common_mode=True))
+        return EllipseDetectorConfig(ellipse_test=EllipseTestConfig(common_mode=CommonModeConfig()))
     if covariance in ("absolute", "relative"):
-        return replace(config, test_covariance="absolute" if covariance == "absolute" else "relative")
+        return EllipseDetectorConfig(test_covariance="absolute" if covariance == "absolute" else "relative")
     std_m, std_rad = (float(text) for text in covariance.split("/"))
     constant = ConstantNoise(x_std_m=std_m, y_std_m=std_m, theta_std_rad=std_rad)
-    return replace(config, test_covariance="constant", constant_noise=constant)
+    return EllipseDetectorConfig(test_covariance=constant)
 
 
 def noise_cell(covariance: str, noise: float, seed: int) -> Scores:

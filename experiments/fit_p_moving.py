@@ -1,8 +1,6 @@
 """Fit the weights of p_moving: what speaks for a cluster against whether it was a person."""
 
 import sys
-from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from scipy.optimize import minimize
@@ -12,9 +10,11 @@ from experiments.common import Options, Scores, main, run_cells
 from experiments.reliability import LOGS, N_PEOPLE, N_SCANS, QUICK_SCANS, SCENARIOS
 from experiments.tables import Table, number, write_tables
 from slammot_graph import get_method
-from slammot_graph.core.types import FloatArray, IntArray
-from slammot_graph.detection import probability, reasons
-from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
+from slammot_graph.detection import reasons
+from slammot_graph.detection.base import Detection
+from slammot_graph.detection.ellipse_detector import EllipseDetector, EllipseDetectorConfig
 from slammot_graph.detection.probability import NAMES, SHARE_OF_STATIC, WEIGHTS, cluster_evidence
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import SimulatedLog, simulate
@@ -25,20 +25,18 @@ SHRINK = 1e-3
 N_ROUND = 2
 
 
-class _Evidence:
-    """Keeps what `cluster_evidence` said of a scan's clusters: one call a scan, none where there are no clusters."""
+class _Watched(EllipseDetector):
+    """Keeps the latest detection and the evidence of its clusters."""
 
-    def __init__(self) -> None:
-        self.forget()
+    evidence: FloatArray = np.empty((0, len(NAMES)))
+    detection: Detection | None = None
 
-    def forget(self) -> None:
-        self.evidence: FloatArray = np.empty((0, len(probability.NAMES)))
-        self.cluster: IntArray = np.empty(0, dtype=np.int64)
-
-    def __call__(self, detection: Detection, *arguments: Any) -> FloatArray:
-        self.cluster = detection.cluster
-        self.evidence = cluster_evidence(detection, *arguments)
-        return self.evidence
+    def p_moving(
+        self, scan: Scan, detection: Detection, points: FloatArray, predicted_positions: FloatArray
+    ) -> FloatArray:
+        self.evidence = cluster_evidence(detection, points, scan.ranges, self.grid, predicted_positions)
+        self.detection = detection
+        return super().p_moving(scan, detection, points, predicted_positions)
 
 
 def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: int) -> Scores:
@@ -51,28 +49,25 @@ def cell(name: str, log: str | None, reference: str | None, seed: int, n_scans: 
         aside = recorded.is_of_the_log(walkers, reference)
     config = get_method("graph").config
     assert isinstance(config, PipelineConfig)
+    assert isinstance(config.detector, EllipseDetectorConfig)
     pipeline = Pipeline(config)
-    kept = _Evidence()
-    evidence: list[list[float]] = []
-    beams: list[int] = []
-    moving: list[float] = []
+    pipeline.detector = watched = _Watched(config.detector, max_range_m=config.max_range_m)
+    evidence, beams, moving = [], [], []
     by_reason = np.zeros((len(reasons.REASONS), 2))
     for scan in walkers:
-        kept.forget()
-        with patch.object(probability, "cluster_evidence", kept):
-            step = pipeline.step(scan)
+        step = pipeline.step(scan)
+        found = watched.detection
+        assert found is not None
         is_person = walkers.is_moving[scan.index]
         is_judged = step.is_valid & ~aside[scan.index]
-        is_static = is_judged & ~step.is_moving
-        by_reason[:, 0] += np.bincount(step.reason[is_static], minlength=len(by_reason))
-        by_reason[:, 1] += np.bincount(step.reason[is_static & is_person], minlength=len(by_reason))
-        is_called = is_judged & step.is_moving
-        if not len(kept.evidence):
-            continue
-        cluster = kept.cluster[is_called]
-        n = np.bincount(cluster, minlength=len(kept.evidence))
-        hit = np.bincount(cluster, is_person[is_called], minlength=len(kept.evidence))
-        evidence += kept.evidence[n > 0].round(3).tolist()
+        is_static = is_judged & ~found.is_moving
+        by_reason[:, 0] += np.bincount(found.reason[is_static], minlength=len(by_reason))
+        by_reason[:, 1] += np.bincount(found.reason[is_static & is_person], minlength=len(by_reason))
+        is_called = is_judged & found.is_moving
+        cluster = found.cluster[is_called]
+        n = np.bincount(cluster, minlength=found.n_clusters)
+        hit = np.bincount(cluster, is_person[is_called], minlength=found.n_clusters)
+        evidence += watched.evidence[n > 0].round(3).tolist()
         beams += n[n > 0].tolist()
         moving += hit[n > 0].tolist()
     pipeline.close()

@@ -21,6 +21,7 @@ from slammot_graph import Run, open_log
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.types import FloatArray
+from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.logs import LaserLog
 from slammot_graph.loop_closure import LoopCloser, LoopClosureConfig, Submap
 from slammot_graph.loop_closure.submap import PreparedSubmap
@@ -201,7 +202,7 @@ def ask_density_maps(package: Any, target: Submap, source: Submap, setting: Sett
 def collect(name: str, path: str | None, n_scans: int | None) -> Places:
     """Run `graph` over (the first scans of) a log and give its local maps; truth: the simulation's, or the graph's."""
     log: LaserLog = open_log(path) if path else simulate(name, seed=0)
-    keep_all = PipelineConfig(closure=LoopClosureConfig(known_overlap=1.0))
+    keep_all = PipelineConfig(localizer=ScanToMapConfig(closure=LoopClosureConfig(known_overlap=1.0)))
     run = Run(log, "graph", config=keep_all)
     steps = iter(run)
     for _ in islice(steps, n_scans):

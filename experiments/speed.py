@@ -33,7 +33,7 @@ from slammot_graph.detection import _cluster_kernels, _kernels
 from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
-from slammot_graph.registration import _covariance_kernels, _solve_kernels
+from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
 from slammot_graph.run import make_pipeline
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
 from slammot_graph.simulation.robot import simulate_odometry
@@ -57,7 +57,8 @@ KERNELS = {
     _kernels: ("test_beams", "seen_through"),
     _cluster_kernels: ("group_moving",),
     _solve_kernels: ("match_point_to_line",),
-    _covariance_kernels: ("residual_scatter", "match_covariance", "innovate", "fuse"),
+    _scatter_kernels: ("residual_scatter",),
+    _covariance_kernels: ("match_covariance", "innovate", "fuse"),
     _local_map_kernels: ("estimate_normals", "insert_points"),
     grid: ("update_beams",),
 }
@@ -159,7 +160,7 @@ def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
             again.clear()
             step = pipeline.step(replace(scan))
             n_points = int(np.count_nonzero(step.is_valid & ~step.is_moving))
-            touched = int(np.count_nonzero(pipeline.grid.stamp == scan.index))
+            touched = int(np.count_nonzero(pipeline.detector.grid.stamp == scan.index))
             rows.append(
                 {
                     "step": 1e3 * step.stage_ms["step"] - sum(again.values()),

@@ -61,12 +61,12 @@ print(
 # R_l, and its angle makes the ellipse grow with the range: 0.05 rad is half a metre at 10 m.
 
 # %%
-R_r = config.constant_noise.covariance(se2.IDENTITY)
+R_r = config.detector.test_covariance.covariance(se2.IDENTITY)
 scan = scans[shown_scan]
 is_valid = scan.is_valid(config.max_range_m)
 T_world_base = log.T_world_base[shown_scan]
-both = end_point_covariances(scan, T_world_base, R_r, config.motion)
-beam_only = end_point_covariances(scan, T_world_base, np.zeros((3, 3)), config.motion)
+both = end_point_covariances(scan, T_world_base, R_r, config.detector.ellipse_test)
+beam_only = end_point_covariances(scan, T_world_base, np.zeros((3, 3)), config.detector.ellipse_test)
 
 figure, axes = plt.subplots(figsize=(6, 3.4), layout="constrained")
 for cov, name in ((both, "R_r and R_l"), (beam_only, "R_l alone")):
@@ -122,7 +122,9 @@ plt.show()
 # person.
 
 # %%
-found = detect_moving(scan, is_valid, T_world_base, R_r, grid, config.motion, config.clusters)
+found = detect_moving(
+    scan, is_valid, T_world_base, R_r, grid, config.detector.ellipse_test, config.detector.clusters
+)
 points = scan.points(T_world_base)
 
 figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
@@ -180,7 +182,7 @@ for before, after in pairwise(scans):
         if name != "all points":
             use = [mask & ~log.is_moving[s.index] for mask, s in zip(use, (before, after), strict=True)]
         match = match_scans(
-            before.points_base(), use[0], after.points_base(), use[1], start, config.point_to_point
+            before.points_base(), use[0], after.points_base(), use[1], start, config.localizer.point_to_point
         )
         values.append(np.hypot(*pose_errors(match.T_ref_base[None], motion[None])[0, :2]))
 

@@ -66,10 +66,12 @@ METHODS: dict[TestCovariance, str] = {
 runs, steps = {}, {}
 plain = get_method("graph-noloop").config
 assert isinstance(plain, PipelineConfig)
-for test_covariance in METHODS:
-    config = replace(plain, test_covariance=test_covariance)
-    runs[test_covariance] = Run(log, "graph-noloop", config=config)
-    steps[test_covariance] = list(runs[test_covariance])
+for name, method in METHODS.items():
+    other = get_method(method).config
+    assert isinstance(other, PipelineConfig)
+    config = replace(plain, detector=other.detector)
+    runs[name] = Run(log, "graph-noloop", config=config)
+    steps[name] = list(runs[name])
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained")
 for name, of_method in steps.items():

@@ -5,10 +5,15 @@ from dataclasses import dataclass, replace
 from slammot_graph.baselines.kiss_icp import KissIcpConfig
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.detection.clustering import ClusterConfig
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.ellipse_test import EllipseTestConfig
-from slammot_graph.detection.visibility_check import VisibilityCheckConfig
-from slammot_graph.mapping.occupancy_grid import GridConfig
-from slammot_graph.pipeline import PipelineConfig
+from slammot_graph.detection.no_detection import NoDetectionConfig
+from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.mapping.occupancy_grid import GridConfig, NoReturnConfig
+from slammot_graph.odometry.noise import ConstantNoise
+from slammot_graph.pipeline_config import PipelineConfig
+from slammot_graph.tracking.no_tracking import NoTrackingConfig
+from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
 Config = PipelineConfig | KissIcpConfig
 
@@ -23,18 +28,26 @@ class Method:
 
 
 _GRAPH = PipelineConfig()
+_ELLIPSE = EllipseDetectorConfig()
 _ICP = PipelineConfig(
-    matcher="scan-to-scan",
-    filter_moving=False,
-    retest_after_match=False,
-    hindsight=False,
-    occupy_with_moving=True,
-    motion=EllipseTestConfig(margin_cells=0, track_reach_m=0.0),
-    clusters=ClusterConfig(split_gap_m=0.0),
-    visibility_check=VisibilityCheckConfig(reach_m=0.0),
-    grid=GridConfig(fill_gaps=False),
+    localizer=ScanToScanConfig(),
+    detector=NoDetectionConfig(),
+    tracker=NoTrackingConfig(),
+    grid=GridConfig(fill_gaps=False, occupy_with_moving=True, no_return=NoReturnConfig()),
 )
-_DOCPFO = replace(_ICP, filter_moving=True, test_covariance="constant")
+_DOCPFO = replace(
+    _ICP,
+    detector=EllipseDetectorConfig(
+        test_covariance=ConstantNoise(),
+        ellipse_test=EllipseTestConfig(margin_cells=None, track_reach_m=None),
+        clusters=ClusterConfig(split=None),
+        visibility_check=None,
+        retest=None,
+        backward_pass=False,
+        local_grid=None,
+    ),
+    tracker=KalmanTrackerConfig(),
+)
 
 METHODS: dict[str, Method] = {
     method.name: method
@@ -42,7 +55,7 @@ METHODS: dict[str, Method] = {
         Method(
             name="odometry",
             summary="dead reckoning on the wheels, no matching",
-            config=replace(_ICP, matcher="none"),
+            config=replace(_ICP, localizer=DeadReckoningConfig()),
         ),
         Method(name="icp", summary="the paper's ICP: scan to scan, point to point, no filter", config=_ICP),
         Method(
@@ -58,22 +71,22 @@ METHODS: dict[str, Method] = {
         Method(
             name="graph-fixed",
             summary="graph, with the paper's constant R_r in the test",
-            config=replace(_GRAPH, test_covariance="constant"),
+            config=replace(_GRAPH, detector=replace(_ELLIPSE, test_covariance=ConstantNoise())),
         ),
         Method(
             name="graph-absolute",
             summary="graph, with the absolute marginal in the test",
-            config=replace(_GRAPH, test_covariance="absolute"),
+            config=replace(_GRAPH, detector=replace(_ELLIPSE, test_covariance="absolute")),
         ),
         Method(
             name="graph-nofilter",
             summary="graph, without a moving-point test",
-            config=replace(_GRAPH, filter_moving=False),
+            config=replace(_GRAPH, detector=NoDetectionConfig(), tracker=NoTrackingConfig()),
         ),
         Method(
             name="graph-noloop",
             summary="graph, without loop closure",
-            config=replace(_GRAPH, close_loops=False),
+            config=replace(_GRAPH, localizer=ScanToMapConfig(close_loops=False)),
         ),
         Method(
             name="kiss-icp",

@@ -112,10 +112,10 @@ class RunView:
         Costs a copy of so many cells.
         """
         pipeline = self._pipeline
-        if not isinstance(pipeline, Pipeline) or not pipeline.config.filter_moving:
+        if not isinstance(pipeline, Pipeline) or pipeline.detector.grid is None:
             return None
         cells, T_map_local = pipeline.crop_test_grid(self._step.T_map_base[:2], half_side_m)
-        config = pipeline.grid.config
+        config = pipeline.detector.grid.config
         return TestGrid(
             cells=read_only(cells),
             T_map_local=read_only(T_map_local),

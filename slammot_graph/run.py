@@ -358,7 +358,7 @@ def _conclude(session: _Session) -> _Outcome:
     final = attempt("optimised trajectory", pipeline.final, kept.online_estimate)
     T_map_base = final.T_map_base
     labels = attempt("final labels", lambda: pipeline.final_labels(T_map_base), lambda: None)
-    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.grid.config.resolution_m))
+    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
     n = len(kept.scans)
     # a step that was cut short may have left a pose or a label more
     labels = None if labels is None else labels[:n]

@@ -1,10 +1,13 @@
-from dataclasses import fields, replace
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from slammot_graph.baselines.kiss_icp import KissIcpConfig
 from slammot_graph.core.errors import ConfigError
+from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.methods import METHODS, get_method
 from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.run import Run
@@ -12,10 +15,18 @@ from tests.rooms import drive, errors, truth_from_start
 
 
 def differences(a: str, b: str) -> set[str]:
-    """Fields in which the configurations of two methods differ."""
+    """Paths of the parts and fields in which the configurations of two methods differ."""
     first, second = METHODS[a].config, METHODS[b].config
     assert type(first) is type(second)
-    return {f.name for f in fields(first) if getattr(first, f.name) != getattr(second, f.name)}
+    return set(differing(first, second))
+
+
+def differing(first: Any, second: Any, path: str = "") -> Iterator[str]:
+    if type(first) is type(second) and is_dataclass(first):
+        for f in fields(first):
+            yield from differing(getattr(first, f.name), getattr(second, f.name), f"{path}.{f.name}")
+    elif first != second:
+        yield path.removeprefix(".")
 
 
 def test_the_ladder_has_its_rungs() -> None:
@@ -28,12 +39,12 @@ def test_the_ladder_has_its_rungs() -> None:
 @pytest.mark.parametrize(
     ("a", "b", "names"),
     [
-        ("graph", "graph-fixed", {"test_covariance"}),
-        ("graph", "graph-absolute", {"test_covariance"}),
-        ("graph", "graph-nofilter", {"filter_moving"}),
-        ("graph", "graph-noloop", {"close_loops"}),
-        ("icp", "odometry", {"matcher"}),
-        ("icp", "docpfo", {"filter_moving", "test_covariance"}),
+        ("graph", "graph-fixed", {"detector.test_covariance"}),
+        ("graph", "graph-absolute", {"detector.test_covariance"}),
+        ("graph", "graph-nofilter", {"detector", "tracker"}),
+        ("graph", "graph-noloop", {"localizer.close_loops"}),
+        ("icp", "odometry", {"localizer"}),
+        ("icp", "docpfo", {"detector", "tracker"}),
         ("kiss-icp", "kiss-icp-odometry", {"use_odometry"}),
     ],
 )
@@ -97,6 +108,6 @@ def test_the_graph_is_nearer_to_the_truth_than_the_odometry() -> None:
 
 
 def test_an_own_configuration_takes_the_place_of_the_methods() -> None:
-    own = replace(PipelineConfig(), filter_moving=False)
+    own = replace(PipelineConfig(), detector=NoDetectionConfig())
     assert Run(drive(2), config=own).config is own
     assert Run(drive(2), "kiss-icp", max_range_m=7.0).config.max_range_m == 7.0

@@ -5,15 +5,18 @@ import numpy as np
 import pytest
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.results import StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection import reasons
-from slammot_graph.detection.ellipse_test import Detection, detect_moving
+from slammot_graph.detection.base import Detection
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig, RetestConfig
+from slammot_graph.detection.ellipse_test import detect_moving
+from slammot_graph.localization import ScanToMapConfig
+from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from tests.rooms import LASER, ROOM, ListLog, cast, drive, errors, kidnapped, occluded, truth_from_start
+from tests.rooms import LASER, ROOM, ListLog, carried, cast, covered, drive, errors, truth_from_start
 
 GRAPH = PipelineConfig()
 DOCPFO = METHODS["docpfo"].config
@@ -56,9 +59,7 @@ def test_graph_finds_its_way_and_the_person() -> None:
 def test_the_person_is_tracked_where_he_walks() -> None:
     pipeline, steps = run(drive(100))
     start = pipeline.final().T_map_base[0]
-    truth = steps[0].scan.truth
-    assert truth is not None and truth.T_world_base is not None
-    T_start = truth.T_world_base
+    T_start = steps[0].scan.truth.T_world_base  # type: ignore[union-attr]
     np.testing.assert_allclose(start, 0.0, atol=1e-9)
     distances = []
     for step in steps[20:]:
@@ -93,7 +94,9 @@ def test_the_map_holds_the_walls_and_not_the_person() -> None:
 
 def test_moving_points_fill_the_map_only_if_asked_for() -> None:
     log = drive(38)
-    quiet, ghostly = (run(log, replace(GRAPH, occupy_with_moving=value))[0] for value in (False, True))
+    quiet, ghostly = (
+        run(log, replace(GRAPH, grid=GridConfig(occupy_with_moving=value)))[0] for value in (False, True)
+    )
     last = log.scans[quiet.final().node_scans[-1]]
     place = last.points(quiet.final().nodes[-1])[moving(last)]
     log_odds = []
@@ -140,8 +143,8 @@ def test_each_step_is_whole() -> None:
 def test_the_tests_covariance_is_the_one_asked_for() -> None:
     log = drive(12)
     relative = run(log, GRAPH)[1][-1]
-    constant = run(log, replace(GRAPH, test_covariance="constant"))[1][-1]
-    absolute = run(log, replace(GRAPH, test_covariance="absolute"))[1][-1]
+    constant = run(log, METHODS["graph-fixed"].config)[1][-1]  # type: ignore[arg-type]
+    absolute = run(log, METHODS["graph-absolute"].config)[1][-1]  # type: ignore[arg-type]
     np.testing.assert_allclose(constant.cov_relative, np.diag([0.01, 0.01, 0.0025]))
     assert np.trace(relative.cov_relative) < np.trace(constant.cov_relative)
     assert np.trace(absolute.cov_relative) >= np.trace(relative.cov_relative)
@@ -149,11 +152,8 @@ def test_the_tests_covariance_is_the_one_asked_for() -> None:
 
 def test_docpfo_and_icp_differ_in_the_filter() -> None:
     log = drive(30)
-    plain = METHODS["icp"].config
-    assert isinstance(DOCPFO, PipelineConfig)
-    assert isinstance(plain, PipelineConfig)
     _, paper = run(log, DOCPFO)
-    _, icp = run(log, plain)
+    _, icp = run(log, METHODS["icp"].config)
     assert not any(step.is_moving.any() for step in icp)
     assert any(step.is_moving.any() for step in paper)
     for step in paper[1:]:
@@ -163,7 +163,7 @@ def test_docpfo_and_icp_differ_in_the_filter() -> None:
 
 
 def test_without_a_filter_nothing_moves() -> None:
-    pipeline, steps = run(drive(40), replace(GRAPH, filter_moving=False))
+    pipeline, steps = run(drive(40), METHODS["graph-nofilter"].config)
     assert not any(step.is_moving.any() for step in steps)
     assert not any(step.tracks for step in steps)
     pipeline.close()
@@ -173,7 +173,8 @@ def test_moving_points_are_left_out_of_the_match_and_of_the_occupied_cells(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pipeline, matched_masks, map_masks = Pipeline(GRAPH), [], []
-    match, update = pipeline.localizer.match, pipeline.grid.update
+    assert pipeline.detector.grid is not None
+    match, update = pipeline.localizer.match, pipeline.detector.grid.update
 
     def spy_match(points: FloatArray, is_static: BoolArray) -> object:
         matched_masks.append(is_static)
@@ -186,7 +187,7 @@ def test_moving_points_are_left_out_of_the_match_and_of_the_occupied_cells(
         update(now, origin, ends, is_beam, is_hit, *others)
 
     monkeypatch.setattr(pipeline.localizer, "match", spy_match)
-    monkeypatch.setattr(pipeline.grid, "update", spy_update)
+    monkeypatch.setattr(pipeline.detector.grid, "update", spy_update)
     steps = [pipeline.step(scan) for scan in drive(40)]
     pipeline.close()
     for step, (is_beam, is_hit) in zip(steps, map_masks, strict=True):
@@ -207,9 +208,9 @@ def test_the_test_is_repeated_at_the_matched_pose_unless_that_is_the_same(
         poses.append(T_a_base)
         return detect_moving(scan, is_valid, T_a_base, *others)
 
-    monkeypatch.setattr("slammot_graph.pipeline.detect_moving", spy)
-    monkeypatch.setattr("slammot_graph.pipeline.SAME_CELLS", same_cells)
-    pipeline = Pipeline(GRAPH)
+    monkeypatch.setattr("slammot_graph.detection.ellipse_detector.detect_moving", spy)
+    detector = EllipseDetectorConfig(retest=RetestConfig(same_cells=same_cells))
+    pipeline = Pipeline(PipelineConfig(detector=detector))
     first, second = (pipeline.step(scan) for scan in drive(2).scans)
     pipeline.close()
     assert first.match is None
@@ -254,7 +255,7 @@ def test_scans_of_different_lasers_may_follow_each_other() -> None:
     pipeline.close()
 
 
-def test_an_occluded_laser_is_bridged_by_odometry() -> None:
+def test_a_covered_laser_is_bridged_by_odometry() -> None:
     log = drive(60)
     for k in (30, 31):
         log.scans[k].ranges[:] = np.inf
@@ -302,23 +303,22 @@ def test_a_jump_of_the_odometry_is_survived() -> None:
 
 
 def test_after_failures_in_a_row_a_new_local_map_begins() -> None:
-    pipeline, steps = run(kidnapped(drive(40), 25), replace(GRAPH, n_lost=3))
+    pipeline, steps = run(carried(drive(40), 25), PipelineConfig(localizer=ScanToMapConfig(n_lost=3)))
     told = {step.scan.index: step.events for step in steps if step.events}
     assert [len(events) for events in told.values()] == [1, 1, 2]
     last = max(told)
     assert min(told) == 25
     assert told[last][1].text == "lost: 3 matches failed in a row, a new local map begins here"
     assert steps[last].node is not None
-    match = steps[last + 1].match
-    assert match is not None
-    assert match.status == "converged"
+    assert steps[last + 1].match is not None
+    assert steps[last + 1].match.status == "converged"
     assert np.isfinite(pipeline.final().T_map_base).all()
     pipeline.close()
 
 
-def test_an_occluded_laser_loses_nothing_however_long() -> None:
-    log = occluded(drive(60), *range(30, 45))
-    pipeline, steps = run(log, replace(GRAPH, n_lost=3))
+def test_a_covered_laser_loses_nothing_however_long() -> None:
+    log = covered(drive(60), *range(30, 45))
+    pipeline, steps = run(log, PipelineConfig(localizer=ScanToMapConfig(n_lost=3)))
     assert [step.scan.index for step in steps if step.events] == list(range(30, 45))
     texts = [event.text for step in steps[30:45] for event in step.events]
     assert texts == 15 * ["match failed: only 0 points found a partner"]
@@ -336,20 +336,24 @@ def test_farther_returns_are_left_aside() -> None:
     pipeline.close()
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"max_range_m": 0.0}, "max_range_m must be positive, not 0.0"),
-        ({"max_range_m": float("nan")}, "max_range_m must be positive, not nan"),
-        ({"n_window_keyframes": 0}, "n_window_keyframes and n_lost must be at least 1"),
-        ({"n_lost": 0}, "n_window_keyframes and n_lost must be at least 1"),
-        ({"matcher": "none"}, 'matcher "none" has no pose graph: set test_covariance to "constant"'),
-        (
-            {"matcher": "scan-to-scan", "test_covariance": "absolute"},
-            'matcher "scan-to-scan" has no pose graph',
-        ),
-    ],
-)
-def test_impossible_pipelines_are_refused(changes: dict[str, object], text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
-        PipelineConfig(**changes)  # type: ignore[arg-type]
+def test_a_pipeline_closes_itself() -> None:
+    with Pipeline(GRAPH) as pipeline:
+        assert [pipeline.step(scan).scan.index for scan in drive(2)] == [0, 1]
+    with pytest.raises(ValueError, match="closed"):
+        pipeline.step(drive(3).scans[2])
+
+
+def test_a_method_without_a_test_has_no_grid_to_crop() -> None:
+    for name in ("graph-nofilter", "icp", "odometry"):
+        with Pipeline(METHODS[name].config) as pipeline:  # type: ignore[arg-type]
+            assert pipeline.detector.grid is None
+            with pytest.raises(ValueError, match="makes no test"):
+                pipeline.crop_test_grid(np.zeros(2), 1.0)
+
+
+def test_the_paper_tests_the_map_itself() -> None:
+    with Pipeline(DOCPFO) as pipeline:  # type: ignore[arg-type]
+        assert pipeline.grid is not None
+        assert pipeline.detector.grid is pipeline.grid
+    with Pipeline(GRAPH) as pipeline:
+        assert pipeline.grid is None

@@ -12,15 +12,19 @@ from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.results import StepResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import reasons
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig, LocalGridConfig, RetestConfig
 from slammot_graph.detection.ellipse_test import EllipseTestConfig
+from slammot_graph.mapping.occupancy_grid import NoReturnConfig
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import simulate
-from slammot_graph.tracking.tracker import TrackerConfig
+from slammot_graph.tracking.tracker import KalmanTrackerConfig
 from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
 
 # a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
 YARD = np.vstack([[[-6, 4, 0, 4], [-6, -4, -6, 4], [-6, -4, 6, -4], [6, -4, 6, 0]], box(-4, -3, -3, -2)])
-QUIET = replace(PipelineConfig(), free_no_return_m=0.0)  # open space stays unknown
+QUIET = PipelineConfig(  # open space stays unknown
+    detector=EllipseDetectorConfig(local_grid=LocalGridConfig(no_return=None))
+)
 N_EMPTY = 20
 
 
@@ -62,7 +66,7 @@ WALK = np.column_stack([WALK_X, np.full(len(WALK_X), 2.0)])[:, None]
 def test_who_walks_into_the_unknown_stays_moving() -> None:
     """As long as the track lives without a free cell to prove it."""
     for seconds, last_x in ((1.0, 0.9), (3.0, 2.4)):
-        steps = watch(WALK, replace(QUIET, tracks=TrackerConfig(max_missed_s=seconds)))
+        steps = watch(WALK, replace(QUIET, tracker=KalmanTrackerConfig(max_missed_s=seconds)))
         assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
         assert recall(steps, 0, WALK_X, 0.4, last_x) > 0.9
     told = np.concatenate([step.reason[step.is_moving] for step in steps[-20:]])
@@ -70,7 +74,8 @@ def test_who_walks_into_the_unknown_stays_moving() -> None:
 
 
 def test_without_a_reach_nobody_moves_in_the_unknown() -> None:
-    steps = watch(WALK, replace(QUIET, motion=EllipseTestConfig(track_reach_m=0.0)))
+    blind = replace(QUIET.detector, ellipse_test=EllipseTestConfig(track_reach_m=None))
+    steps = watch(WALK, replace(QUIET, detector=blind))
     assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
     assert recall(steps, 0, WALK_X, 0.4, 0.9) < 0.4
 
@@ -84,7 +89,8 @@ def test_who_never_walked_does_not_move() -> None:
 
 
 def test_open_space_that_returned_nothing_counts_as_free() -> None:
-    steps = watch(WALK, replace(QUIET, free_no_return_m=5.0, motion=EllipseTestConfig(track_reach_m=0.0)))
+    detector = EllipseDetectorConfig(ellipse_test=EllipseTestConfig(track_reach_m=None))
+    steps = watch(WALK, PipelineConfig(detector=detector))
     assert recall(steps, 0, WALK_X, 0.6, 2.4) > 0.9
 
 
@@ -98,7 +104,7 @@ def test_a_doubtful_pose_calls_nothing_moving() -> None:
     ]
     found = {}
     for nis in (15.0, 1e9):
-        config = replace(PipelineConfig(), motion=EllipseTestConfig(abstain_nis=nis))
+        config = PipelineConfig(detector=EllipseDetectorConfig(retest=RetestConfig(abstain_nis=nis)))
         pipeline = Pipeline(config)
         found[nis] = [pipeline.step(scan) for scan in log]
         assert max(errors(truth_from_start(log), pipeline.final().T_map_base)) < 0.03
@@ -126,10 +132,10 @@ def test_a_failed_match_calls_nothing_moving() -> None:
         assert (step.reason == reasons.STOOD_BACK).any()
 
 
-@pytest.mark.parametrize("value", [-0.1, float("nan")])
+@pytest.mark.parametrize("value", [-0.1, 0.0, float("nan")])
 def test_no_return_needs_a_distance(value: float) -> None:
-    with pytest.raises(ConfigError, match=f"free_no_return_m must not be negative, not {value}"):
-        PipelineConfig(free_no_return_m=value)
+    with pytest.raises(ConfigError, match=f"NoReturnConfig.reach_m must be positive, not {value}"):
+        NoReturnConfig(reach_m=value)
 
 
 def test_every_valid_beam_of_a_crowd_has_a_probability_and_a_reason_that_fits() -> None:

@@ -12,7 +12,9 @@ from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
+from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.graph import PoseGraph
+from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
@@ -152,7 +154,8 @@ def test_a_match_that_determines_nothing_is_a_failure_not_an_error(rng: np.rando
     for scan in log.scans[1:]:
         bad = rng.random(LASER.n_beams) < 0.6
         scan.ranges[bad] += rng.uniform(0.1, 0.35, bad.sum())
-    config = PipelineConfig(filter_moving=False, n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
+    localizer = ScanToMapConfig(n_lost=100, point_to_line=PointToLineConfig(weak_ratio=0.29))
+    config = PipelineConfig(localizer=localizer, detector=NoDetectionConfig())
     result = Run(log, config=config).complete()
     assert any(event.text == "match failed: no direction is determined" for event in result.events)
     assert len(result.nodes) >= 2
@@ -195,7 +198,7 @@ def test_scans_of_different_lasers_are_padded_with_beams_that_are_not_valid() ->
 
 def test_failures_and_events_are_counted() -> None:
     log = occluded(kidnapped(drive(20), 9), 9)
-    result = Run(log, config=PipelineConfig(n_lost=2)).complete()
+    result = Run(log, config=PipelineConfig(localizer=ScanToMapConfig(n_lost=2))).complete()
     assert result.events[0].text == "match failed: only 0 points found a partner"
     assert [event.scan for event in result.events] == [9, 10, 11, 11]
     assert [event.severity for event in result.events] == ["warning", "warning", "warning", "error"]

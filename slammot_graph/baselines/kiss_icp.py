@@ -11,7 +11,7 @@ from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.results import GraphEdge, GridMap, StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
-from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.detection.base import Detection
 from slammot_graph.localization.base import FIRST_COV, FinalEstimate
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.odometry.noise import OdometryNoise

@@ -101,18 +101,21 @@ def _settings(method: str) -> "tuple[PipelineConfig, OdometryNoise]":
     from slammot_graph.pipeline import PipelineConfig
 
     config = get_method(method).config
-    if not isinstance(config, PipelineConfig) or config.matcher != "scan-to-map":
+    if not isinstance(config, PipelineConfig) or not config.has_graph:
         raise InputError(f"--method {method} does not match onto a local map; take graph")
     noise = config.odometry_noise
     return config, noise if isinstance(noise, OdometryNoise) else OdometryNoise()
 
 
 def _run(log: "LaserLog", method: str, config: "PipelineConfig", max_scans: int | None) -> "Windows":
-    """Run the method, without loop closure and backward pass, and cut the log into windows."""
+    """Run the method, without loop closure, and cut the log into windows."""
+    from slammot_graph.core.config import from_plain
     from slammot_graph.odometry.calibration_input import windows_of_steps
     from slammot_graph.run import Run
 
-    run = Run(log, method, config=replace(config, close_loops=False, hindsight=False), max_scans=max_scans)
+    run = Run(
+        log, method, config=from_plain({"localizer": {"close_loops": False}}, config), max_scans=max_scans
+    )
     with scan_progress(log, method, max_scans) as show:
         return windows_of_steps(_counted(run, show))
 

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sized
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -93,6 +94,18 @@ def warn(log: "LaserLog") -> None:
             console.print(f"warning: {log.path}: {text}", soft_wrap=True)
         if len(texts) > N_REASONS:
             console.print(f"warning: {log.path}: and {len(texts) - N_REASONS} more {what}", soft_wrap=True)
+
+
+@contextlib.contextmanager
+def printed_deprecations() -> Iterator[None]:
+    """Print what is deprecated within the block, a line each."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DeprecationWarning)
+        try:
+            yield
+        finally:
+            for warning in caught:
+                stderr().print(f"warning: {warning.message}", soft_wrap=True)
 
 
 def scan_progress(

@@ -22,6 +22,7 @@ from slammot_graph.cli.console import (
     command,
     figure_table,
     number,
+    printed_deprecations,
     scan_progress,
     stderr,
     stdout,
@@ -96,7 +97,8 @@ def run_command(
     check_max_scans(max_scans)
     settings = get_method(method).config
     if config is not None:
-        settings = load_config(config, settings)
+        with printed_deprecations():
+            settings = load_config(config, settings)
     opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
 
     from slammot_graph.run import Run

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, Union
 
+from slammot_graph.core.checks import FieldError
 from slammot_graph.core.errors import ConfigError
 
 T = TypeVar("T")
@@ -59,6 +60,8 @@ def from_plain(values: Mapping[str, Any], default: T, *, source: str = "config")
     ----------
     values : mapping
     default : frozen dataclass
+        Its class may have a method ``with_new_keys(values, default, source)`` that moves values from keys of an
+        earlier release to those of today.
     source : str
         Where the values come from, for the error's text.
 
@@ -67,6 +70,9 @@ def from_plain(values: Mapping[str, Any], default: T, *, source: str = "config")
     ConfigError
         A key that does not exist, or a value that does not fit.
     """
+    with_new_keys = getattr(type(default), "with_new_keys", None)
+    if with_new_keys is not None:
+        values = with_new_keys(values, default, source)
     return typing.cast(T, _replace(default, values, _Place(source)))
 
 
@@ -105,6 +111,13 @@ class _Place:
     def error(self, text: str) -> ConfigError:
         name = ".".join(self.keys)
         return ConfigError(f"{self.source}: {name}: {text}" if name else f"{self.source}: {text}")
+
+    def refused(self, error: FieldError) -> ConfigError:
+        """Name the field by its whole path."""
+        name = ".".join((*self.keys, error.key) if error.key else self.keys)
+        return ConfigError(
+            f"{self.source}: {name} {error.problem}" if name else f"{self.source}: {error.problem}"
+        )
 
     def wrong(self, expected: str, value: Any) -> ConfigError:
         return self.error(f"expected {expected}, not {_shown(value)}")
@@ -149,6 +162,8 @@ def _default(field: "dataclasses.Field[Any]") -> Any:
 def _checked(make: typing.Callable[[], Any], place: _Place) -> Any:
     try:
         return make()
+    except FieldError as error:
+        raise place.refused(error) from None
     except ConfigError as error:
         raise place.error(str(error)) from None
 
@@ -183,7 +198,7 @@ def _parse_tagged(
     value: Mapping[str, Any], classes: dict[str, type[Any]], default: Any, place: _Place
 ) -> Any:
     values = dict(value)
-    name = values.pop(_TYPE_KEY, type(default).__name__)
+    name = values.pop(_TYPE_KEY, next(iter(classes)) if len(classes) == 1 else type(default).__name__)
     if name not in classes:
         raise (place / _TYPE_KEY).wrong(" or ".join(repr(known) for known in classes), name)
     return _parse_one(values, classes[name], default, place)
@@ -253,6 +268,8 @@ def _describe(hint: Any) -> str:
     plain = {float: "a number", int: "an integer", bool: "true or false", str: "a text", Path: "a path"}
     if hint in plain:
         return plain[hint]
+    if typing.get_origin(hint) is typing.Literal:
+        return " or ".join(map(repr, typing.get_args(hint)))
     if typing.get_origin(hint) is tuple:
         items = typing.get_args(hint)
         return "a list" if len(items) == 2 and items[1] is Ellipsis else f"a list of {len(items)} values"

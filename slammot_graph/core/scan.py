@@ -11,7 +11,7 @@ from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 NO_RETURN_FRACTION = 0.97
-"""A range above this share of `range_max` is a missing return, not a point."""
+"""By default a range above this share of `range_max` is a missing return, not a point."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,20 +110,23 @@ class Scan:
     T_odom_base: FloatArray
     truth: ScanTruth | None = field(default=None)
 
-    def is_valid(self, max_range: float = np.inf) -> BoolArray:
-        """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m]."""
+    def is_valid(self, max_range: float = np.inf, range_fraction: float = NO_RETURN_FRACTION) -> BoolArray:
+        """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m].
+
+        Beyond `range_fraction` of the laser's `range_max` a range is a missing return.
+        """
         is_point = np.empty(len(self.ranges), dtype=np.bool_)
-        limit = min(NO_RETURN_FRACTION * self.laser.range_max, max_range)
+        limit = min(range_fraction * self.laser.range_max, max_range)
         _between(self.ranges, max(self.laser.range_min, 1e-3), limit, is_point)
         return is_point
 
-    def is_no_return(self, min_run: int = 1) -> BoolArray:
-        """(n_beams,) mask of beams that met nothing in reach, at the laser's maximum or infinite.
+    def is_no_return(self, min_run: int = 1, range_fraction: float = NO_RETURN_FRACTION) -> BoolArray:
+        """(n_beams,) mask of beams that met nothing in reach, from `range_fraction` of the laser's maximum on.
 
         Only runs of at least `min_run` neighbours count: single ones are more often dark or shiny surfaces.
         """
         missing = np.empty(len(self.ranges), dtype=np.bool_)
-        _runs_beyond(self.ranges, NO_RETURN_FRACTION * self.laser.range_max, min_run, missing)
+        _runs_beyond(self.ranges, range_fraction * self.laser.range_max, min_run, missing)
         return missing
 
     def points_base(self) -> FloatArray:

@@ -12,11 +12,12 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection import reasons
+from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
-from slammot_graph.detection.ellipse_test import Detection, EllipseTestConfig, detect_moving
+from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_moving
 from slammot_graph.detection.scan_history import ScanRecord
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
-from slammot_graph.tracking.tracker import Tracker, TrackerConfig
+from slammot_graph.tracking.base import Tracker
 
 
 def retrospective_labels(
@@ -24,10 +25,10 @@ def retrospective_labels(
     T_map_base: FloatArray,
     *,
     grid: GridConfig,
-    window_m: float,
-    motion: EllipseTestConfig,
+    window_m: float | None,
+    ellipse_test: EllipseTestConfig,
     clusters: ClusterConfig,
-    tracks: TrackerConfig,
+    tracker: Tracker,
 ) -> list[BoolArray]:
     """Give the final labels of a run.
 
@@ -37,8 +38,10 @@ def retrospective_labels(
         In the order of the log.
     T_map_base : (n, 3) array
         Optimised poses.
-    grid, window_m, motion, clusters, tracks
+    grid, window_m, ellipse_test, clusters
         As of the test at the time.
+    tracker : Tracker
+        A new one.
 
     Returns
     -------
@@ -46,7 +49,6 @@ def retrospective_labels(
     """
     n = len(judged)
     memory = OccupancyGrid(grid, window_m=window_m)
-    tracker = Tracker(tracks)
     last_in_window = _last_in_window(judged)
     labels: list[BoolArray] = [np.empty(0, dtype=np.bool_)] * n
     for k in range(n - 1, -1, -1):
@@ -55,7 +57,7 @@ def retrospective_labels(
         memory.oldest = n - 1 - last_in_window[k]
         expected = tracker.predicted_positions(-item.scan.stamp)
         later = detect_moving(
-            item.scan, item.is_valid, T, item.cov_relative, memory, motion, clusters, expected
+            item.scan, item.is_valid, T, item.cov_relative, memory, ellipse_test, clusters, expected
         )
         ends = se2.transform(T, np.vstack([item.scan.laser.origin_base, item.scan.points_base()]))
         labels[k] = _combine(item, later, _follow(tracker, item, later, ends[1:]))

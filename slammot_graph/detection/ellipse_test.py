@@ -1,23 +1,34 @@
 """The moving-point test: an end point moves if its covariance ellipse covers free cells only."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare, Share
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _cluster_kernels, _kernels, reasons
+from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 
-CONSENSUS = 0.8
-"""Share of the sigma points' weight at which a beam must be on free cells."""
+
+@dataclass(frozen=True, kw_only=True)
+class CommonModeConfig(Checked):
+    """The test at the sigma points of a pose whose error is common to the scan.
+
+    Attributes
+    ----------
+    consensus : float
+        Share of the sigma points' weight at which a beam must be on free cells.
+    """
+
+    consensus: Share = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
-class EllipseTestConfig:
+class EllipseTestConfig(Checked):
     """The test's beam noise and limits.
 
     Attributes
@@ -28,105 +39,27 @@ class EllipseTestConfig:
         Size of the ellipse; 2.448 holds 95% in two dimensions.
     max_cells : int
         An ellipse that spans more cells decides nothing.
-    margin_cells : int
+    margin_cells : int or None
         Cells around the end point's own that must be free as well, whatever the ellipse: beams that graze a
-        wall free its cells too. 0 in the paper.
-    track_reach_m : float
-        Beams on unknown cells, or too few for a cluster, move if a tracked object is expected this near; 0: never.
-    stand_back_share : float
+        wall free its cells too. None: the ellipse alone decides, as in the paper.
+    track_reach_m : float or None
+        Beams on unknown cells, or too few for a cluster, move if a tracked object is expected this near; None: never.
+    abstain_share : float
         If more than this share of the valid beams seems to move, none is called moving: a wrong pose looks
         just like that, and removing everything would lock the error in.
-    abstain_nis : float
-        None is called moving either after a match whose normalised innovation squared is above this.
-    is_common_mode : bool
+    common_mode : CommonModeConfig or None
         Treat the pose's error as common to the scan: test at its sigma points and take their consensus. Several times
-        the work; with a matched pose it decides as the ellipse does.
+        the work; with a matched pose it decides as the ellipse does, which alone is tested where this is None.
     """
 
-    range_std_m: float = 0.01
-    angle_std_rad: float = 0.005
-    n_sigma: float = 2.448
-    max_cells: int = 10_000
-    margin_cells: int = 1
-    track_reach_m: float = 0.4
-    stand_back_share: float = 0.75
-    abstain_nis: float = 50.0
-    is_common_mode: bool = False
-
-    def __post_init__(self) -> None:
-        if not (self.range_std_m > 0.0 and self.angle_std_rad > 0.0):
-            raise ConfigError("motion.range_std_m and motion.angle_std_rad must be positive")
-        if not self.n_sigma > 0.0:
-            raise ConfigError(f"motion.n_sigma must be positive, not {self.n_sigma}")
-        if self.max_cells < 1:
-            raise ConfigError(f"motion.max_cells must be at least 1, not {self.max_cells}")
-        if self.margin_cells < 0:
-            raise ConfigError(f"motion.margin_cells must not be negative, not {self.margin_cells}")
-        if not self.track_reach_m >= 0.0:
-            raise ConfigError(f"motion.track_reach_m must not be negative, not {self.track_reach_m}")
-        if not self.abstain_nis > 0.0:
-            raise ConfigError(f"motion.abstain_nis must be positive, not {self.abstain_nis}")
-        if not 0.0 < self.stand_back_share <= 1.0:
-            raise ConfigError(f"motion.stand_back_share must be in (0, 1], not {self.stand_back_share}")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Detection:
-    """Labels of one scan; every array has one entry a beam.
-
-    Attributes
-    ----------
-    is_moving : (n,) bool array
-    reason : (n,) int array
-        Index into `motion.REASONS`.
-    cluster : (n,) int array
-        Number of the cluster of a moving beam, -1 for others.
-    n_clusters : int
-    packed_cov : (n, 3) array [m^2]
-        Covariance of the end points in the frame of the pose: xx, xy, yy.
-    """
-
-    is_moving: BoolArray
-    reason: IntArray
-    cluster: IntArray
-    n_clusters: int
-    packed_cov: FloatArray
-
-    def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
-        """Give what a tracker needs of the k clusters, with the scan's points (n, 2) in the frame of the pose.
-
-        Returns centres (k, 2), their covariances (k, 2, 2), the beams of each, and whether free cells prove it (k,).
-        """
-        k = self.n_clusters
-        centres, covs, is_proven = np.empty((k, 2)), np.empty((k, 2, 2)), np.empty(k, dtype=np.bool_)
-        starts, beams = np.empty(k + 1, dtype=np.int64), np.empty(len(points), dtype=np.int64)
-        if k:
-            _cluster_kernels.cluster_moments(
-                points, self.packed_cov, self.cluster, self.reason, centres, covs, is_proven, starts, beams
-            )
-        return centres, covs, [beams[starts[c] : starts[c + 1]] for c in range(k)], is_proven
-
-    @classmethod
-    def nothing(cls, is_valid: BoolArray) -> "Detection":
-        """Call every beam of a scan static, as a method without a moving-point test does."""
-        n = len(is_valid)
-        return cls(
-            is_moving=np.zeros(n, dtype=np.bool_),
-            reason=np.where(is_valid, reasons.NOT_TESTED, reasons.NOT_VALID),
-            cluster=np.full(n, -1),
-            n_clusters=0,
-            packed_cov=np.zeros((n, 3)),
-        )
-
-    def abstain(self) -> "Detection":
-        """Take back what was called moving."""
-        return replace(
-            self,
-            is_moving=np.zeros_like(self.is_moving),
-            reason=np.where(self.is_moving, reasons.STOOD_BACK, self.reason),
-            cluster=np.full_like(self.cluster, -1),
-            n_clusters=0,
-        )
+    range_std_m: Positive = 0.01
+    angle_std_rad: Positive = 0.005
+    n_sigma: Positive = 2.448
+    max_cells: Count = 10_000
+    margin_cells: Count | None = 1
+    track_reach_m: Positive | None = 0.4
+    abstain_share: PositiveShare = 0.75
+    common_mode: CommonModeConfig | None = None
 
 
 def unpack_covariances(packed: FloatArray) -> FloatArray:
@@ -173,9 +106,9 @@ def detect_moving(
     grid: OccupancyGrid,
     config: EllipseTestConfig,
     clusters: ClusterConfig,
-    expected: FloatArray | None = None,
+    predicted_positions: FloatArray | None = None,
     vacated: FloatArray | None = None,
-    emptied_reach_m: float = 0.5,
+    vacated_reach_m: float = 0.5,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -189,32 +122,27 @@ def detect_moving(
     cov_pose : (3, 3) array
         Covariance of that pose, right perturbation (body frame).
     grid : OccupancyGrid
-    expected : (k, 2) array, optional
+    predicted_positions : (k, 2) array, optional
         Where tracked objects should be now, frame a [m].
     vacated : (k, 2) array, optional
         Where something stood a moment ago that is gone, frame a [m].
-    emptied_reach_m : float
+    vacated_reach_m : float
         Beams on unknown cells move if they end this near to such a place.
     """
     points, packed, reason = _test(scan, is_valid, T_a_base, cov_pose, grid, config)
-    if config.is_common_mode:
-        reason = _test_at_sigma_points(scan, is_valid, T_a_base, cov_pose, grid, config)
+    if config.common_mode is not None:
+        consensus = config.common_mode.consensus
+        reason = _test_at_sigma_points(scan, is_valid, T_a_base, cov_pose, grid, config, consensus)
     cluster, is_moving = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.bool_)
     n_clusters = _cluster_kernels.group_moving(
         points,
         is_valid,
         _NOWHERE if vacated is None else vacated,
-        emptied_reach_m,
-        _NOWHERE if expected is None else expected,
-        config.track_reach_m,
-        config.stand_back_share,
-        clusters.max_gap_m,
-        clusters.max_skipped_beams,
-        clusters.min_points,
-        clusters.max_x_range_m,
-        clusters.max_y_range_m,
-        clusters.split_gap_m,
-        clusters.split_min_points,
+        vacated_reach_m,
+        _NOWHERE if predicted_positions is None else predicted_positions,
+        config.track_reach_m or 0.0,
+        config.abstain_share,
+        *clusters.kernel_arguments(),
         reason,
         cluster,
         is_moving,
@@ -259,7 +187,7 @@ def _test(
         config.angle_std_rad,
         config.n_sigma,
         config.max_cells,
-        config.margin_cells,
+        config.margin_cells or 0,
         points,
         packed,
         reason,
@@ -274,6 +202,7 @@ def _test_at_sigma_points(
     cov_pose: FloatArray,
     grid: OccupancyGrid,
     config: EllipseTestConfig,
+    consensus: float,
 ) -> IntArray:
     """(n,) reasons where the pose's error is common to the whole scan: by consensus over its sigma points.
 
@@ -286,6 +215,6 @@ def _test_at_sigma_points(
     reason_at = np.array([_test(scan, is_valid, T, exact, grid, config)[2] for T in poses])
     n_hits = np.count_nonzero(reason_at == reasons.OCCUPIED, axis=1)
     weights = np.exp((n_hits - n_hits.max()) / max(0.02 * np.count_nonzero(is_valid), 1.0))
-    is_free = (weights @ (reason_at == reasons.FREE)) > CONSENSUS * weights.sum()
+    is_free = (weights @ (reason_at == reasons.FREE)) > consensus * weights.sum()
     best = reason_at[np.argmax(n_hits)]
     return np.where(is_free, reasons.FREE, np.where(best == reasons.FREE, reasons.UNKNOWN, best))

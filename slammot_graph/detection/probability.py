@@ -9,7 +9,7 @@ import numpy as np
 
 from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import _cluster_kernels, reasons
-from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.detection.base import Detection
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 
 MAX_RANGE_M = 12.0
@@ -89,12 +89,17 @@ def probability_of_moving(
 
     Parameters as of `cluster_evidence`.
     """
-    p = _P_STATIC[detection.reason]
+    p = probability_without_clusters(detection)
     if detection.n_clusters:
         evidence = cluster_evidence(detection, points, ranges, grid, expected)
         p_cluster = 1.0 / (1.0 + np.exp(-evidence @ WEIGHTS))
         p[detection.is_moving] = p_cluster[detection.cluster[detection.is_moving]]
     return p
+
+
+def probability_without_clusters(detection: Detection) -> FloatArray:
+    """(n,) share of moving beams among those that were called static for the same reason; NaN without a return."""
+    return _P_STATIC[detection.reason]
 
 
 _P_STATIC: FloatArray = np.full(len(reasons.REASONS), np.nan)

@@ -12,20 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection import _kernels
 
 
 @dataclass(frozen=True, kw_only=True)
-class VisibilityCheckConfig:
+class VisibilityCheckConfig(Checked):
     """With which earlier scan the present one is compared, and what follows.
 
     Attributes
     ----------
     reach_m : float
-        A beam on unknown cells moves if it ends this near to a place that is empty now; 0: no such test.
+        A beam on unknown cells moves if it ends this near to a place that is empty now.
     distance_m, age_s : float
         The earlier scan was taken at least this way or this time before, whichever is reached first.
     margin_m : float
@@ -34,20 +34,11 @@ class VisibilityCheckConfig:
         Neighbouring points that must all be gone.
     """
 
-    reach_m: float = 0.5
-    distance_m: float = 0.3
-    age_s: float = 1.0
-    margin_m: float = 0.15
-    min_run: int = 3
-
-    def __post_init__(self) -> None:
-        for name in ("reach_m", "margin_m"):
-            if not getattr(self, name) >= 0.0:
-                raise ConfigError(f"visibility_check.{name} must not be negative, not {getattr(self, name)}")
-        if not (self.distance_m > 0.0 and self.age_s > 0.0):
-            raise ConfigError("visibility_check.distance_m and visibility_check.age_s must be positive")
-        if self.min_run < 1:
-            raise ConfigError(f"visibility_check.min_run must be at least 1, not {self.min_run}")
+    reach_m: Positive = 0.5
+    distance_m: Positive = 0.3
+    age_s: Positive = 1.0
+    margin_m: NotNegative = 0.15
+    min_run: Count = 3
 
 
 class _Seen(NamedTuple):
@@ -71,9 +62,8 @@ class VisibilityCheck:
         self, stamp_s: float, T_local_base: FloatArray, points: FloatArray, is_valid: BoolArray
     ) -> None:
         """Take in a scan at its matched pose (3,): its points (n, 2) [m], local frame, and which are returns (n,)."""
-        if self.config.reach_m > 0.0:
-            x, y, _ = T_local_base.tolist()
-            self._seen.append(_Seen(stamp_s, x, y, points, is_valid))
+        x, y, _ = T_local_base.tolist()
+        self._seen.append(_Seen(stamp_s, x, y, points, is_valid))
 
     def vacated(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> FloatArray:
         """(k, 2) points [m] of an earlier scan that this one, at its pose (3,), sees through; local frame."""

@@ -14,7 +14,8 @@ from typing import TypeVar
 import gtsam
 import numpy as np
 
-from slammot_graph.core.errors import ConfigError, SlammotError
+from slammot_graph.core.checks import Checked, Positive
+from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.linalg import eigh3, is_covariance
 from slammot_graph.core.results import EdgeKind, GraphEdge
 from slammot_graph.core.types import FloatArray
@@ -25,7 +26,7 @@ STACK_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseGraphConfig:
+class PoseGraphConfig(Checked):
     """Settings of the incremental smoother.
 
     Attributes
@@ -36,13 +37,9 @@ class PoseGraphConfig:
         A node that moved by more than this [m, rad] is linearised again.
     """
 
-    prior_std_m: float = 1e-4
-    prior_std_rad: float = 1e-4
-    relinearize_threshold: float = 0.02
-
-    def __post_init__(self) -> None:
-        if not (self.prior_std_m > 0.0 and self.prior_std_rad > 0.0 and self.relinearize_threshold > 0.0):
-            raise ConfigError("graph.prior_std_m, prior_std_rad and relinearize_threshold must be positive")
+    prior_std_m: Positive = 1e-4
+    prior_std_rad: Positive = 1e-4
+    relinearize_threshold: Positive = 0.02
 
 
 class PoseGraph:

@@ -1,19 +1,37 @@
-"""Configuration of the localization on a local map."""
+"""Configuration of the localizers."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, NotNegative, Positive, Share
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraphConfig
 from slammot_graph.loop_closure import LoopClosureConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
+from slammot_graph.registration.point_to_point import PointToPointConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanToMapConfig:
+class DeadReckoningConfig:
+    """Odometry alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanToScanConfig:
+    """The paper's localization: each scan matched onto the one before.
+
+    Attributes
+    ----------
+    point_to_point : PointToPointConfig
+    """
+
+    point_to_point: PointToPointConfig = field(default_factory=PointToPointConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanToMapConfig(Checked):
     """Ours: point-to-line matching on a local map, keyframes in a pose graph.
 
     Attributes
@@ -40,34 +58,21 @@ class ScanToMapConfig:
         Configuration of the parts.
     """
 
-    n_lost: int = 5
-    kidnapped_distance_m: float = 0.2
-    lost_std_m: float = 3.0
-    lost_std_rad: float = 0.8
-    lost_distance_m: float = 20.0
-    jump_inlier_ratio: float = 0.6
-    jump_nis: float = 45.0
-    jump_inlier_gain: float = 0.15
-    max_counted_nis: float = 50.0
-    nis_gain: float = 0.1
+    n_lost: Count = 5
+    kidnapped_distance_m: NotNegative = 0.2
+    lost_std_m: Positive = 3.0
+    lost_std_rad: Positive = 0.8
+    lost_distance_m: NotNegative = 20.0
+    jump_inlier_ratio: Share = 0.6
+    jump_nis: Positive = 45.0
+    jump_inlier_gain: Share = 0.15
+    max_counted_nis: Positive = 50.0
+    nis_gain: Share = 0.1
     close_loops: bool = True
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     closure: LoopClosureConfig = field(default_factory=LoopClosureConfig)
-
-    def __post_init__(self) -> None:
-        if self.n_lost < 1:
-            raise ConfigError(f"n_lost must be at least 1, not {self.n_lost}")
-        for name in ("lost_std_m", "lost_std_rad", "jump_nis", "max_counted_nis"):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
-        for name in ("kidnapped_distance_m", "lost_distance_m"):
-            if not getattr(self, name) >= 0.0:
-                raise ConfigError(f"{name} must not be negative, not {getattr(self, name)}")
-        for name in ("jump_inlier_ratio", "jump_inlier_gain", "nis_gain"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ConfigError(f"{name} must be in [0, 1], not {getattr(self, name)}")
 
     @property
     def lost_cov(self) -> FloatArray:

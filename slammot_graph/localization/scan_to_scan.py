@@ -1,5 +1,7 @@
 """The paper's localization: each scan matched onto the static points of the one before."""
 
+import numpy as np
+
 from slammot_graph.core import se2
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
@@ -7,7 +9,9 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import CommitResult, Estimate
 from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.odometry.propagation import MotionModel
-from slammot_graph.registration.point_to_point import PointToPointConfig, match_scans
+from slammot_graph.registration.base import MatchPrior, ReferenceScan
+from slammot_graph.registration.factory import make_matcher
+from slammot_graph.registration.point_to_point import PointToPointConfig
 
 
 class ScanToScan(DeadReckoning):
@@ -15,13 +19,15 @@ class ScanToScan(DeadReckoning):
 
     def __init__(self, model: MotionModel, config: PointToPointConfig) -> None:
         super().__init__(model)
-        self.config = config
+        self.matcher = make_matcher(config)
         self._before: Estimate = self.estimate
-        self._reference: tuple[FloatArray, BoolArray] | None = None
+        self._laser_base: FloatArray = np.zeros(2)
+        self._reference: ReferenceScan | None = None
 
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
         self._before = self.estimate
+        self._laser_base = scan.laser.origin_base
         return super().predict(scan)
 
     def match(
@@ -31,7 +37,8 @@ class ScanToScan(DeadReckoning):
         if self._reference is None:
             return self.estimate, None
         start = se2.between(self._before.T_local_base, self.estimate.T_local_base)
-        match = match_scans(*self._reference, points_base, is_static, start, self.config)
+        prior = MatchPrior(T_a_base=start, cov=self.estimate.cov_relative)
+        match = self.matcher.match(self._reference, points_base, is_static, self._laser_base, prior).result
         if match.status != "failed":
             self.estimate = Estimate(
                 T_local_base=se2.compose(self._before.T_local_base, match.T_ref_base),
@@ -42,5 +49,5 @@ class ScanToScan(DeadReckoning):
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
-        self._reference = points_base, is_static
+        self._reference = ReferenceScan(points_base=points_base, is_used=is_static)
         return super().commit(scan, points_base, is_static)

@@ -2,14 +2,22 @@
 
 from dataclasses import dataclass, field
 
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import (
+    Checked,
+    Count,
+    CountOrZero,
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    Share,
+)
 from slammot_graph.loop_closure.relocalization import RelocalizationConfig
 from slammot_graph.loop_closure.submap import SubmapConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConsistencyConfig:
+class ConsistencyConfig(Checked):
     """When two closures say the same.
 
     Attributes
@@ -22,26 +30,16 @@ class ConsistencyConfig:
         Standard deviation of what the graph says of these paths, and its growth along them.
     """
 
-    min_number_gap: int = 2
-    max_path_m: float = 40.0
-    std_m: float = 0.05
-    std_m_per_m: float = 0.01
-    std_rad: float = 0.02
-    std_rad_per_m: float = 0.002
-
-    def __post_init__(self) -> None:
-        for name in ("max_path_m", "std_m", "std_rad"):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"closure.consistency.{name} must be positive, not {getattr(self, name)}")
-        for name in ("min_number_gap", "std_m_per_m", "std_rad_per_m"):
-            if not getattr(self, name) >= 0.0:
-                raise ConfigError(
-                    f"closure.consistency.{name} must not be negative, not {getattr(self, name)}"
-                )
+    min_number_gap: CountOrZero = 2
+    max_path_m: Positive = 40.0
+    std_m: Positive = 0.05
+    std_m_per_m: NotNegative = 0.01
+    std_rad: Positive = 0.02
+    std_rad_per_m: NotNegative = 0.002
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopClosureConfig:
+class LoopClosureConfig(Checked):
     """When two local maps may be the same place, and what it takes to believe it.
 
     Attributes
@@ -101,36 +99,36 @@ class LoopClosureConfig:
     submap : SubmapConfig
     """
 
-    min_path_m: float = 8.0
-    max_distance_m: float = 12.0
-    drift_scale: float = 5.0
-    sigma_scale: float = 6.0
-    min_search_m: float = 0.5
-    max_search_m: float = 8.0
-    min_search_rad: float = 0.15
-    max_search_rad: float = 0.8
-    n_candidates: int = 3
-    n_candidates_lost: int = 7
-    min_score: float = 0.38
-    min_overlap: float = 0.55
-    known_overlap: float = 0.8
-    max_free_space_violation: float = 0.2
-    max_ambiguity: float = 0.9
-    gate: float = 16.27
-    gate_scale: float = 4.0
-    max_residual2: float = 150.0
-    candidate_margin_m: float = 4.0
-    candidate_spacing: int = 4
-    candidate_spacing_lost: int = 2
-    n_search_points_lost: int = 200
-    turn_lever_quantile: float = 0.9
-    min_turn_lever_m: float = 1.0
-    same_pose_m: float = 0.5
-    same_pose_rad: float = 0.1
-    match_prior_std_m: float = 1.0
-    match_prior_std_rad: float = 0.5
-    min_inlier_share: float = 0.7
-    n_prepared: int = 64
+    min_path_m: Positive = 8.0
+    max_distance_m: Positive = 12.0
+    drift_scale: Positive = 5.0
+    sigma_scale: Positive = 6.0
+    min_search_m: Positive = 0.5
+    max_search_m: Positive = 8.0
+    min_search_rad: Positive = 0.15
+    max_search_rad: Positive = 0.8
+    n_candidates: Count = 3
+    n_candidates_lost: Count = 7
+    min_score: Share = 0.38
+    min_overlap: Share = 0.55
+    known_overlap: Share = 0.8
+    max_free_space_violation: Share = 0.2
+    max_ambiguity: Share = 0.9
+    gate: PositiveOrInfinite = 16.27
+    gate_scale: Positive = 4.0
+    max_residual2: Positive = 150.0
+    candidate_margin_m: Positive = 4.0
+    candidate_spacing: Count = 4
+    candidate_spacing_lost: Count = 2
+    n_search_points_lost: Count = 200
+    turn_lever_quantile: Share = 0.9
+    min_turn_lever_m: Positive = 1.0
+    same_pose_m: Positive = 0.5
+    same_pose_rad: Positive = 0.1
+    match_prior_std_m: Positive = 1.0
+    match_prior_std_rad: Positive = 0.5
+    min_inlier_share: Share = 0.7
+    n_prepared: Count = 64
     point_to_line: PointToLineConfig = field(
         default_factory=lambda: PointToLineConfig(floor_std_m=0.01, max_iterations=30)
     )
@@ -139,45 +137,8 @@ class LoopClosureConfig:
     submap: SubmapConfig = field(default_factory=SubmapConfig)
 
     def __post_init__(self) -> None:
-        for name in (
-            "min_path_m",
-            "max_distance_m",
-            "drift_scale",
-            "sigma_scale",
-            "gate",
-            "gate_scale",
-            "max_residual2",
-            "candidate_margin_m",
-            "min_turn_lever_m",
-            "same_pose_m",
-            "same_pose_rad",
-            "match_prior_std_m",
-            "match_prior_std_rad",
-        ):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"closure.{name} must be positive, not {getattr(self, name)}")
-        if not (
-            0.0 < self.min_search_m <= self.max_search_m and 0.0 < self.min_search_rad <= self.max_search_rad
-        ):
-            raise ConfigError("closure needs 0 < min_search <= max_search, in metres and in radians")
-        for name in (
-            "n_candidates",
-            "n_candidates_lost",
-            "candidate_spacing",
-            "candidate_spacing_lost",
-            "n_search_points_lost",
-            "n_prepared",
-        ):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"closure.{name} must be at least 1, not {getattr(self, name)}")
-        for name in (
-            "min_score",
-            "min_overlap",
-            "known_overlap",
-            "max_free_space_violation",
-            "max_ambiguity",
-            "turn_lever_quantile",
-            "min_inlier_share",
-        ):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ConfigError(f"closure.{name} must be in [0, 1], not {getattr(self, name)}")
+        super().__post_init__()
+        self.require(self.min_search_m <= self.max_search_m, "must be at most max_search_m", "min_search_m")
+        self.require(
+            self.min_search_rad <= self.max_search_rad, "must be at most max_search_rad", "min_search_rad"
+        )

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import AtLeastOne, Checked, Count, Positive
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.loop_closure.closure import Closure
 from slammot_graph.loop_closure.submap import Place, Submap
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelocalizationConfig:
+class RelocalizationConfig(Checked):
     """What it takes to believe where a lost robot is.
 
     Attributes
@@ -32,24 +32,12 @@ class RelocalizationConfig:
         Hypotheses of so many latest local maps count: a place that only looked alike gets no more after a while.
     """
 
-    same_place_m: float = 0.6
-    same_place_rad: float = 0.1
-    min_agreeing: int = 5
-    min_agreeing_alone: int = 4
-    lead: float = 3.0
-    n_recent: int = 12
-
-    def __post_init__(self) -> None:
-        for name in ("same_place_m", "same_place_rad"):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(
-                    f"closure.relocalization.{name} must be positive, not {getattr(self, name)}"
-                )
-        for name in ("min_agreeing", "min_agreeing_alone", "lead", "n_recent"):
-            if not getattr(self, name) >= 1:
-                raise ConfigError(
-                    f"closure.relocalization.{name} must be at least 1, not {getattr(self, name)}"
-                )
+    same_place_m: Positive = 0.6
+    same_place_rad: Positive = 0.1
+    min_agreeing: Count = 5
+    min_agreeing_alone: Count = 4
+    lead: AtLeastOne = 3.0
+    n_recent: Count = 12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

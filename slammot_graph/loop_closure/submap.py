@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, Positive, Share
 from slammot_graph.core.types import FloatArray
 from slammot_graph.loop_closure import _kernels
 from slammot_graph.mapping.local_map import Keyframe
@@ -15,7 +15,7 @@ from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 
 
 @dataclass(frozen=True, kw_only=True)
-class SubmapConfig:
+class SubmapConfig(Checked):
     """How a finished local map is prepared for the search.
 
     Attributes
@@ -34,28 +34,21 @@ class SubmapConfig:
         The search is made with no more points than these.
     """
 
-    cell_m: float = 0.1
-    n_levels: int = 5
+    cell_m: Positive = 0.1
+    n_levels: Count = 5
     occupied_score: int = 4
     neighbour_score: int = 2
     free_score: int = -2
-    max_free_probability: float = 0.3
-    point_spacing_m: float = 0.05
-    max_search_points: int = 400
+    max_free_probability: Share = 0.3
+    point_spacing_m: Positive = 0.05
+    max_search_points: Count = 400
 
     def __post_init__(self) -> None:
-        for name in ("cell_m", "point_spacing_m"):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"closure.submap.{name} must be positive, not {getattr(self, name)}")
-        for name in ("n_levels", "max_search_points"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"closure.submap.{name} must be at least 1, not {getattr(self, name)}")
-        if not self.free_score <= 0 <= self.neighbour_score <= self.occupied_score:
-            raise ConfigError("closure.submap needs free_score <= 0 <= neighbour_score <= occupied_score")
-        if not 0.0 <= self.max_free_probability <= 1.0:
-            raise ConfigError(
-                f"closure.submap.max_free_probability must be in [0, 1], not {self.max_free_probability}"
-            )
+        super().__post_init__()
+        self.require(
+            self.free_score <= 0 <= self.neighbour_score <= self.occupied_score,
+            "needs free_score <= 0 <= neighbour_score <= occupied_score",
+        )
 
 
 class Place(NamedTuple):

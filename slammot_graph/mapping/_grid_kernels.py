@@ -12,9 +12,6 @@ import numpy as np
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray
 
-MAX_APART = 0.7
-"""Two lines nearer than this [cells] leave no cell between them: a line in between frees nothing that they do not."""
-
 FROM_LASER = 32
 """Every so many beams one frees its cells from the laser on; a power of two."""
 
@@ -37,6 +34,7 @@ def update_beams(
     l_occupied: float,
     l_soft: float,
     fill_gaps: bool,
+    max_apart: float,
     l_min: float,
     l_max: float,
 ) -> None:
@@ -96,7 +94,7 @@ def update_beams(
         length = ray[k, 2]
         if length == 0.0:
             continue
-        freed = _freed_by_others(ray, k)
+        freed = _freed_by_others(ray, k, max_apart)
         if length - freed > 0.5:
             _free_line(
                 log_odds, stamp, row0, col0, now, oldest, x0, y0, ux * length, uy * length,
@@ -119,11 +117,11 @@ def update_beams(
 
 
 @kernel
-def _freed_by_others(ray: FloatArray, k: int) -> float:
+def _freed_by_others(ray: FloatArray, k: int, max_apart: float) -> float:
     """How far from the laser [cells] the cells on ray `k` are freed by the rays beside it.
 
     Near the laser rays lie closer than cells. Every `FROM_LASER`-th ray begins there, the ones halfway between where
-    those are `MAX_APART` from each other, and so on.
+    those are `max_apart` [cells] from each other, and so on.
     """
     apart = 1
     while k % (2 * apart) == 0 and apart < FROM_LASER:
@@ -135,7 +133,7 @@ def _freed_by_others(ray: FloatArray, k: int) -> float:
     reach = min(ray[k - apart, 2], ray[k + apart, 2])
     if not (before * after > 0.0 and abs(before + after) < 0.5 and reach > 0.0):
         return 0.0
-    return float(min(MAX_APART / abs(before + after), reach))
+    return float(min(max_apart / abs(before + after), reach))
 
 
 @kernel

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, Positive
 from slammot_graph.core.linalg import eigh3
 from slammot_graph.core.scan import LaserModel
 from slammot_graph.core.types import BoolArray, FloatArray
@@ -14,7 +14,7 @@ from slammot_graph.mapping import _local_map_kernels
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalMapConfig:
+class LocalMapConfig(Checked):
     """When a keyframe is taken, how many make a local map, and how its points are thinned.
 
     Attributes
@@ -39,34 +39,22 @@ class LocalMapConfig:
         Largest root mean square thickness of a line.
     """
 
-    keyframe_distance_m: float = 0.3
-    keyframe_rotation_rad: float = 0.2
-    max_keyframes: int = 15
-    n_overlap: int = 8
-    cell_m: float = 0.05
-    reach_m: float = 0.4
-    spacing_m: float = 0.05
-    field_m: float = 100.0
-    normal_half_window_rad: float = 0.0525
-    normal_max_gap_m: float = 0.4
-    normal_max_thickness_m: float = 0.04
+    keyframe_distance_m: Positive = 0.3
+    keyframe_rotation_rad: Positive = 0.2
+    max_keyframes: Count = 15
+    n_overlap: Count = 8
+    cell_m: Positive = 0.05
+    reach_m: Positive = 0.4
+    spacing_m: Positive = 0.05
+    field_m: Positive = 100.0
+    normal_half_window_rad: Positive = 0.0525
+    normal_max_gap_m: Positive = 0.4
+    normal_max_thickness_m: Positive = 0.04
 
     def __post_init__(self) -> None:
-        for name in (
-            "keyframe_distance_m",
-            "keyframe_rotation_rad",
-            "cell_m",
-            "reach_m",
-            "spacing_m",
-            "field_m",
-            "normal_half_window_rad",
-            "normal_max_gap_m",
-            "normal_max_thickness_m",
-        ):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"local_map.{name} must be positive, not {getattr(self, name)}")
-        if not 1 <= self.n_overlap < self.max_keyframes:
-            raise ConfigError("local_map needs 1 <= n_overlap < max_keyframes")
+        """See `Checked`."""
+        super().__post_init__()
+        self.require(self.n_overlap < self.max_keyframes, "needs n_overlap < max_keyframes")
 
 
 NO_NODE = -1

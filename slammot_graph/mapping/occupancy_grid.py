@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core import se2
+from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare
 from slammot_graph.core.results import GridMap
+from slammot_graph.core.scan import NO_RETURN_FRACTION, Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping._grid_kernels import update_beams
 
@@ -16,7 +18,26 @@ def _logit(p: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridConfig:
+class NoReturnConfig(Checked):
+    """Beams without a return free cells: in open space nothing is in the laser's reach.
+
+    Attributes
+    ----------
+    reach_m : float
+        Such a beam frees the cells up to this distance.
+    min_run : int
+        Only so many neighbouring beams count: single ones are more often dark or shiny surfaces.
+    range_fraction : float
+        From this share of the laser's `range_max` on, a range is no return.
+    """
+
+    reach_m: Positive = 5.0
+    min_run: Count = 25
+    range_fraction: PositiveShare = NO_RETURN_FRACTION
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridConfig(Checked):
     """Resolution and inverse sensor model of an occupancy grid.
 
     Attributes
@@ -32,9 +53,15 @@ class GridConfig:
         Bounds of a cell's probability, so that a cell can change its state again.
     p_free, p_occupied : float
         Below is free, above is occupied, between is unknown (0.2 and 0.8 in the paper).
+    max_apart_cells : float
+        Two lines nearer than this leave no cell between them: a line in between frees nothing that they do not.
+    occupy_with_moving : bool
+        Moving points occupy cells too (the paper's map takes ALL points).
+    no_return : NoReturnConfig or None
+        None: beams without a return free nothing.
     """
 
-    resolution_m: float = 0.05
+    resolution_m: Positive = 0.05
     p_hit: float = 0.7
     p_pass: float = 0.4
     p_soft_hit: float = 0.505
@@ -43,16 +70,22 @@ class GridConfig:
     p_max: float = 0.97
     p_free: float = 0.2
     p_occupied: float = 0.8
+    max_apart_cells: Positive = 0.7
+    occupy_with_moving: bool = False
+    no_return: NoReturnConfig | None = None
 
     def __post_init__(self) -> None:
-        if not self.resolution_m > 0.0:
-            raise ConfigError(f"grid.resolution_m must be positive, not {self.resolution_m}")
-        if not 0.0 < self.p_min < self.p_pass < 0.5 < self.p_hit < self.p_max < 1.0:
-            raise ConfigError("grid needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1")
-        if not 0.5 <= self.p_soft_hit <= self.p_hit:
-            raise ConfigError("grid needs 0.5 <= p_soft_hit <= p_hit")
-        if not self.p_min < self.p_free < 0.5 < self.p_occupied < self.p_max:
-            raise ConfigError("grid needs p_min < p_free < 0.5 < p_occupied < p_max")
+        """See `Checked`."""
+        super().__post_init__()
+        self.require(
+            0.0 < self.p_min < self.p_pass < 0.5 < self.p_hit < self.p_max < 1.0,
+            "needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1",
+        )
+        self.require(0.5 <= self.p_soft_hit <= self.p_hit, "needs 0.5 <= p_soft_hit <= p_hit")
+        self.require(
+            self.p_min < self.p_free < 0.5 < self.p_occupied < self.p_max,
+            "needs p_min < p_free < 0.5 < p_occupied < p_max",
+        )
 
 
 class OccupancyGrid:
@@ -89,6 +122,41 @@ class OccupancyGrid:
         self.l_soft = _logit(config.p_soft_hit)
         self.l_min, self.l_max = _logit(config.p_min), _logit(config.p_max)
         self.l_free, self.l_occupied = _logit(config.p_free), _logit(config.p_occupied)
+
+    def add_scan(
+        self,
+        number: int,
+        scan: Scan,
+        T_a_base: FloatArray,
+        points: FloatArray,
+        is_valid: BoolArray,
+        is_static: BoolArray,
+    ) -> None:
+        """Take in a scan of n beams: static points occupy, all beams free the cells they cross.
+
+        Parameters
+        ----------
+        number : int
+            Not below that of an earlier scan.
+        scan : Scan
+        T_a_base : (3,) array
+            Base in the grid's frame a.
+        points : (n, 2) array [m]
+            The scan's end points in frame a.
+        is_valid, is_static : (n,) bool arrays
+            Returns, and those of them that do not move.
+        """
+        ends, is_beam, no_return = points, is_valid, self.config.no_return
+        if no_return is not None:
+            is_missing = scan.is_no_return(no_return.min_run, no_return.range_fraction)
+            if is_missing.any():
+                reach_m = min(no_return.reach_m, scan.laser.range_max)
+                far = scan.laser.origin_base + reach_m * scan.laser.directions_base
+                ends = np.where(is_missing[:, None], se2.transform(T_a_base, far), points)
+                is_beam = is_valid | is_missing
+        origin = se2.transform(T_a_base, scan.laser.origin_base[None])[0]
+        is_hit = is_valid if self.config.occupy_with_moving else is_static
+        self.update(number, origin, ends, is_beam, is_hit, is_valid & ~is_hit)
 
     def update(
         self,
@@ -134,6 +202,7 @@ class OccupancyGrid:
             self.l_hit,
             self.l_soft,
             self.config.fill_gaps,
+            self.config.max_apart_cells,
             self.l_min,
             self.l_max,
         )

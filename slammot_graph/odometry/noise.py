@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, NotNegative, Positive
 from slammot_graph.core.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometryNoise:
+class OdometryNoise(Checked):
     """Standard deviations of an odometry increment, body frame, order (x, y, theta).
 
     Variances add up: those of a still robot, per metre driven and per radian turned.
@@ -25,29 +25,14 @@ class OdometryNoise:
         Systematic part (wheel scale): the standard deviation is this share of the increment.
     """
 
-    still_std_m: float = 0.002
-    still_std_rad: float = 0.002
-    std_m_per_sqrt_m: float = 0.02
-    std_rad_per_sqrt_m: float = 0.04
-    std_m_per_sqrt_rad: float = 0.02
-    std_rad_per_sqrt_rad: float = 0.05
-    ratio_m_per_m: float = 0.05
-    ratio_rad_per_rad: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name in ("still_std_m", "still_std_rad"):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"odometry_noise.{name} must be positive, not {getattr(self, name)}")
-        for name in (
-            "std_m_per_sqrt_m",
-            "std_rad_per_sqrt_m",
-            "std_m_per_sqrt_rad",
-            "std_rad_per_sqrt_rad",
-            "ratio_m_per_m",
-            "ratio_rad_per_rad",
-        ):
-            if not getattr(self, name) >= 0.0:
-                raise ConfigError(f"odometry_noise.{name} must not be negative, not {getattr(self, name)}")
+    still_std_m: Positive = 0.002
+    still_std_rad: Positive = 0.002
+    std_m_per_sqrt_m: NotNegative = 0.02
+    std_rad_per_sqrt_m: NotNegative = 0.04
+    std_m_per_sqrt_rad: NotNegative = 0.02
+    std_rad_per_sqrt_rad: NotNegative = 0.05
+    ratio_m_per_m: NotNegative = 0.05
+    ratio_rad_per_rad: NotNegative = 0.1
 
     def covariance(self, increment: FloatArray) -> FloatArray:
         """(3, 3) covariance of a (3,) increment [m, m, rad], right perturbation (body frame)."""
@@ -60,7 +45,7 @@ class OdometryNoise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstantNoise:
+class ConstantNoise(Checked):
     """The paper's R_r = diag(0.1^2, 0.1^2, 0.05^2) [m, m, rad], whatever the motion.
 
     Attributes
@@ -68,13 +53,9 @@ class ConstantNoise:
     x_std_m, y_std_m, theta_std_rad : float
     """
 
-    x_std_m: float = 0.1
-    y_std_m: float = 0.1
-    theta_std_rad: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not (self.x_std_m > 0.0 and self.y_std_m > 0.0 and self.theta_std_rad > 0.0):
-            raise ConfigError("R_r needs positive x_std_m, y_std_m and theta_std_rad")
+    x_std_m: Positive = 0.1
+    y_std_m: Positive = 0.1
+    theta_std_rad: Positive = 0.05
 
     def covariance(self, increment: FloatArray) -> FloatArray:
         """(3, 3) covariance; the (3,) increment does not matter."""

@@ -7,9 +7,6 @@ import numpy as np
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
-POINT_WEIGHT = 0.2
-"""Weight of a point without a normal (foliage, a table leg) against one on a line."""
-
 
 @kernel
 def solve3(h: FloatArray, g: FloatArray, out: FloatArray) -> bool:
@@ -50,6 +47,7 @@ def accumulate(
     T: FloatArray,
     reach2: float,
     kernel_scale2: float,
+    point_weight: float,
     h: FloatArray,
     g: FloatArray,
     stats: FloatArray,
@@ -58,7 +56,7 @@ def accumulate(
 
     A line that shows `laser` (2,), given in the base frame, its back makes no pair: it is the wall's other side.
     Row of a pair: ``n' R [I | (-py, px)']``, weighted by Geman-McClure ``(s^2 / (s^2 + r^2))^2``; where the map's
-    point has no normal, both axes of the offset count, with less weight. `stats` gets
+    point has no normal, both axes of the offset count, `point_weight` times as much. `stats` gets
     the number of points used, of pairs, the sum of weights, the weighted sum of squared residuals.
     """
     mask = nearest.shape[0] - 1
@@ -93,9 +91,9 @@ def accumulate(
             # no line: both axes of the offset count, in the body frame
             r2 = dx * dx + dy * dy
             w = kernel_scale2 / (kernel_scale2 + r2)
-            w = POINT_WEIGHT * w * w
+            w = point_weight * w * w
             n_pairs += 1
-            sum_w += w / POINT_WEIGHT
+            sum_w += w / point_weight
             sum_wr2 += w * r2
             ex = c * dx + s * dy
             ey = -s * dx + c * dy
@@ -159,6 +157,7 @@ def match_point_to_line(
     sigma: float,
     reach: float,
     kernel_scale: float,
+    point_weight: float,
     max_iterations: int,
     min_step_m: float,
     min_step_rad: float,
@@ -194,6 +193,7 @@ def match_point_to_line(
             T,
             reach2,
             scale2,
+            point_weight,
             h,
             g,
             stats,
@@ -233,6 +233,7 @@ def match_point_to_line(
         T,
         reach2,
         scale2,
+        point_weight,
         h,
         g,
         stats,

@@ -1,21 +1,31 @@
 """Our match: static points of a scan onto the lines of the local map, robust, started at the prediction."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import (
+    Checked,
+    Count,
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    PositiveShare,
+    Range,
+)
 from slammot_graph.core.linalg import covariance_of, invert
 from slammot_graph.core.results import MatchResult, MatchStatus
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap
-from slammot_graph.registration import _covariance_kernels, _solve_kernels
+from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
+from slammot_graph.registration.base import Match, MatchPrior
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointToLineConfig:
+class PointToLineConfig(Checked):
     """Noise, robustness and stopping of the point-to-line match.
 
     Attributes
@@ -39,6 +49,8 @@ class PointToLineConfig:
         Of what all residuals share, in the pose.
     kernel_scale_m : float
         Geman-McClure: a residual of this size gets a quarter of the weight.
+    point_weight : float
+        Weight of a point without a normal (foliage, a table leg) against one on a line.
     max_iterations : int
     min_step_m, min_step_rad : float
         Stop when a step is smaller than both.
@@ -59,59 +71,26 @@ class PointToLineConfig:
         A failed match is tried again from starts this far around the prediction.
     """
 
-    residual_std_m: float = 0.03
-    floor_std_m: float = 0.004
-    noise_ratio: float = 1.25
-    line_ratio: float = 0.2
-    least_residual_m: float = 0.008
-    line_gap_m: float = 0.1
-    correlated_std_m: float = 0.001
-    correlated_std_rad: float = 0.0004
-    kernel_scale_m: float = 0.1
-    max_iterations: int = 20
-    min_step_m: float = 1e-4
-    min_step_rad: float = 1e-5
-    min_pairs: int = 15
-    min_inlier_ratio: float = 0.3
-    weak_ratio: float = 0.01
-    fragile_pairs: float = 2.0
-    max_nis: float = 16.0
-    search_m: float = 0.25
-    search_rad: float = 0.15
-
-    def __post_init__(self) -> None:
-        for name in (
-            "residual_std_m",
-            "noise_ratio",
-            "least_residual_m",
-            "kernel_scale_m",
-            "min_step_m",
-            "min_step_rad",
-            "max_nis",
-        ):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"point_to_line.{name} must be positive, not {getattr(self, name)}")
-        for name in (
-            "floor_std_m",
-            "line_ratio",
-            "line_gap_m",
-            "correlated_std_m",
-            "correlated_std_rad",
-            "weak_ratio",
-            "fragile_pairs",
-            "search_m",
-            "search_rad",
-        ):
-            if not getattr(self, name) >= 0.0:
-                raise ConfigError(f"point_to_line.{name} must not be negative, not {getattr(self, name)}")
-        if self.max_iterations < 1 or self.min_pairs < 3:
-            raise ConfigError("point_to_line needs max_iterations >= 1 and min_pairs >= 3")
-        if not self.weak_ratio < 0.3:
-            raise ConfigError(f"point_to_line.weak_ratio must be below 0.3, not {self.weak_ratio}")
-        if not 0.0 <= self.min_inlier_ratio < 1.0:
-            raise ConfigError(
-                f"point_to_line.min_inlier_ratio must be in [0, 1), not {self.min_inlier_ratio}"
-            )
+    residual_std_m: Positive = 0.03
+    floor_std_m: NotNegative = 0.004
+    noise_ratio: Positive = 1.25
+    line_ratio: NotNegative = 0.2
+    least_residual_m: Positive = 0.008
+    line_gap_m: NotNegative = 0.1
+    correlated_std_m: NotNegative = 0.001
+    correlated_std_rad: NotNegative = 0.0004
+    kernel_scale_m: Positive = 0.1
+    point_weight: PositiveShare = 0.2
+    max_iterations: Count = 20
+    min_step_m: Positive = 1e-4
+    min_step_rad: Positive = 1e-5
+    min_pairs: Annotated[int, Range(low=3)] = 15
+    min_inlier_ratio: Annotated[float, Range(low=0.0, high=1.0, is_high_open=True)] = 0.3
+    weak_ratio: Annotated[float, Range(low=0.0, high=0.3, is_high_open=True)] = 0.01
+    fragile_pairs: NotNegative = 2.0
+    max_nis: PositiveOrInfinite = 16.0
+    search_m: NotNegative = 0.25
+    search_rad: NotNegative = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,6 +104,40 @@ class _Solution:
     @property
     def inlier_ratio(self) -> float:
         return float(self.stats[2] / max(self.stats[0], 1.0))
+
+
+class PointToLineMatcher:
+    """A `Matcher` onto local maps; see `match_to_local_map`."""
+
+    def __init__(self, config: PointToLineConfig) -> None:
+        self.config = config
+
+    def match(
+        self,
+        reference: LocalMap,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        laser_base: FloatArray,
+        prior: MatchPrior,
+        *,
+        kernel_factor: float = 1.0,
+    ) -> Match:
+        """See `Matcher`."""
+        config = self.config
+        if kernel_factor != 1.0:
+            config = replace(config, kernel_scale_m=kernel_factor * config.kernel_scale_m)
+        return Match(
+            *match_to_local_map(
+                points_base,
+                is_static,
+                laser_base,
+                reference,
+                prior.T_a_base,
+                prior.cov,
+                config,
+                prior.cov_independent,
+            )
+        )
 
 
 def match_to_local_map(
@@ -211,6 +224,7 @@ def _solve(
         config.residual_std_m,
         local_map.config.reach_m,
         config.kernel_scale_m,
+        config.point_weight,
         config.max_iterations,
         config.min_step_m,
         config.min_step_rad,
@@ -260,7 +274,7 @@ def _judge(
         T, T_free, innovation = solution.T, np.empty(3), np.empty(3)
         white, common, inherited, information, graph_information, gain_information = np.empty((6, 3, 3))
         cov_independent, cov_correlated, cov_map, cov_match, cov = np.empty((5, 3, 3))
-        _covariance_kernels.residual_scatter(
+        _scatter_kernels.residual_scatter(
             local_map.points,
             local_map.normals,
             local_map.nearest,
@@ -272,6 +286,7 @@ def _judge(
             T,
             local_map.config.reach_m**2,
             config.kernel_scale_m**2,
+            config.point_weight,
             config.line_gap_m,
             local_map.owner,
             local_map.T_local_keyframes,

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, Positive
 from slammot_graph.core.linalg import covariance_of
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.registration import _solve_kernels
+from slammot_graph.registration.base import Match, MatchPrior, ReferenceScan
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointToPointConfig:
+class PointToPointConfig(Checked):
     """Stopping and pairing of the paper's ICP.
 
     Attributes
@@ -27,16 +28,35 @@ class PointToPointConfig:
         Standard deviation of a pair's distance per axis, for the covariance.
     """
 
-    tau_m: float = 1e-5
-    max_distance_m: float = 0.5
-    max_iterations: int = 100
-    pair_std_m: float = 0.05
+    tau_m: Positive = 1e-5
+    max_distance_m: Positive = 0.5
+    max_iterations: Count = 100
+    pair_std_m: Positive = 0.05
 
-    def __post_init__(self) -> None:
-        if not (self.tau_m > 0.0 and self.max_distance_m > 0.0 and self.pair_std_m > 0.0):
-            raise ConfigError("point_to_point.tau_m, max_distance_m and pair_std_m must be positive")
-        if self.max_iterations < 1:
-            raise ConfigError(f"point_to_point.max_iterations must be at least 1, not {self.max_iterations}")
+
+class PointToPointMatcher:
+    """A `Matcher` onto another scan; see `match_scans`. Of the prior it takes the pose alone."""
+
+    def __init__(self, config: PointToPointConfig) -> None:
+        self.config = config
+
+    def match(
+        self,
+        reference: ReferenceScan,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        laser_base: FloatArray,
+        prior: MatchPrior,
+        *,
+        kernel_factor: float = 1.0,
+    ) -> Match:
+        """See `Matcher`; there is no robust kernel."""
+        result = match_scans(
+            reference.points_base, reference.is_used, points_base, is_static, prior.T_a_base, self.config
+        )
+        if result.status == "failed":
+            return Match(result, prior.T_a_base, prior.cov)
+        return Match(result, result.T_ref_base, result.cov)
 
 
 def match_scans(

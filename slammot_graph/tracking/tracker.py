@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
+from slammot_graph.tracking.base import Track
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackerConfig:
+class KalmanTrackerConfig(Checked):
     """Motion and measurement noise of the tracks, and when they begin and end.
 
     Attributes
@@ -32,60 +33,19 @@ class TrackerConfig:
         An object has displaced when it is this far from where it was first seen.
     """
 
-    acceleration_std_m_s2: float = 1.5
-    centre_std_m: float = 0.12
-    start_speed_std_m_s: float = 1.0
-    gate: float = 9.21
-    n_confirm: int = 3
-    max_missed_s: float = 1.0
-    min_way_m: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in (
-            "acceleration_std_m_s2",
-            "centre_std_m",
-            "start_speed_std_m_s",
-            "gate",
-            "max_missed_s",
-            "min_way_m",
-        ):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"tracks.{name} must be positive, not {getattr(self, name)}")
-        if self.n_confirm < 1:
-            raise ConfigError(f"tracks.n_confirm must be at least 1, not {self.n_confirm}")
+    acceleration_std_m_s2: Positive = 1.5
+    centre_std_m: Positive = 0.12
+    start_speed_std_m_s: Positive = 1.0
+    gate: PositiveOrInfinite = 9.21
+    n_confirm: Count = 3
+    max_missed_s: Positive = 1.0
+    min_way_m: Positive = 1.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
-    """One object: state (x, y, vx, vy) [m, m/s] with its covariance, in the tracker's frame.
+class KalmanTracker:
+    """A `Tracker`: follows the clusters of moving points from scan to scan."""
 
-    Attributes
-    ----------
-    track_id : int
-    state : (4,) array
-    cov : (4, 4) array
-    start : (2,) array
-        Where it was first seen [m].
-    n_hits : int
-    missed_s : float
-        Time since the last cluster.
-    beams : (k,) int array
-        Beams of the latest scan; empty when the track was only predicted.
-    """
-
-    track_id: int
-    state: FloatArray
-    cov: FloatArray
-    start: FloatArray
-    n_hits: int
-    missed_s: float
-    beams: IntArray
-
-
-class Tracker:
-    """Follows the clusters of moving points from scan to scan."""
-
-    def __init__(self, config: TrackerConfig) -> None:
+    def __init__(self, config: KalmanTrackerConfig) -> None:
         self.config = config
         self.tracks: list[Track] = []
         self._stamp_s: float | None = None

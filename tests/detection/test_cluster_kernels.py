@@ -8,8 +8,8 @@ from scipy.sparse.csgraph import connected_components
 
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _cluster_kernels
-from slammot_graph.detection.clustering import ClusterConfig, find_clusters
-from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.detection.base import Detection
+from slammot_graph.detection.clustering import ClusterConfig, SplitConfig, find_clusters
 from slammot_graph.detection.reasons import (
     DISCARDED,
     EMPTIED,
@@ -72,14 +72,14 @@ def random_points(rng: np.random.Generator, n: int, is_exact: bool) -> FloatArra
 
 
 def random_limits(rng: np.random.Generator) -> ClusterConfig:
+    gap_m, min_points = rng.choice([0.0625, 0.125]), int(rng.integers(1, 5))
     return ClusterConfig(
         max_gap_m=rng.choice([0.125, 0.25, 0.5]),
         max_skipped_beams=int(rng.integers(0, 5)),
         min_points=int(rng.integers(1, 5)),
         max_x_range_m=rng.choice([0.5, 1.0, 1.5]),
         max_y_range_m=rng.choice([0.5, 1.0, 1.5]),
-        split_gap_m=rng.choice([0.0, 0.0625, 0.125]),
-        split_min_points=int(rng.integers(1, 5)),
+        split=rng.choice([None, SplitConfig(gap_m=gap_m, min_points=min_points)], p=[1 / 3, 2 / 3]),
     )
 
 
@@ -101,9 +101,9 @@ def plain_groups(
 def plain_clusters(points: FloatArray, is_member: BoolArray, config: ClusterConfig) -> tuple[IntArray, int]:
     """Groups, and what is left of them split at smaller gaps."""
     groups, others = plain_groups(points, is_member, config.max_gap_m, config.min_points, config)
-    if config.split_gap_m > 0.0 and others:
+    if config.split is not None and others:
         is_left = np.isin(np.arange(len(points)), np.concatenate(others))
-        groups += plain_groups(points, is_left, config.split_gap_m, config.split_min_points, config)[0]
+        groups += plain_groups(points, is_left, config.split.gap_m, config.split.min_points, config)[0]
     labels = np.full(len(points), -1)
     for c, beams in enumerate(groups):
         labels[beams] = c
@@ -152,13 +152,7 @@ def group_moving(
         hints.expected,
         hints.expected_reach_m,
         stand_back_share,
-        config.max_gap_m,
-        config.max_skipped_beams,
-        config.min_points,
-        config.max_x_range_m,
-        config.max_y_range_m,
-        config.split_gap_m,
-        config.split_min_points,
+        *config.kernel_arguments(),
         reason,
         cluster,
         is_moving,
@@ -241,7 +235,7 @@ NOWHERE: FloatArray = np.empty((0, 2))
 def test_a_group_that_a_wider_one_takes_in_is_discarded_with_it(why: int) -> None:
     points = np.column_stack([np.arange(12) / 8.0, np.zeros(12)])
     tested = np.array([FREE if why == FREE else UNKNOWN] * 3 + [UNKNOWN] * 9)
-    config = ClusterConfig(max_gap_m=0.25, max_x_range_m=1.0, split_gap_m=0.0)
+    config = ClusterConfig(max_gap_m=0.25, max_x_range_m=1.0, split=None)
     hints = Hints(
         vacated=NOWHERE if why == FREE else points[1:2],
         emptied_reach_m=0.25,

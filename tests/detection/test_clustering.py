@@ -3,7 +3,7 @@ import pytest
 
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import FloatArray
-from slammot_graph.detection.clustering import ClusterConfig, find_clusters
+from slammot_graph.detection.clustering import ClusterConfig, SplitConfig, find_clusters
 
 NO_LIMIT = ClusterConfig(
     max_gap_m=0.3, max_skipped_beams=2, min_points=1, max_x_range_m=9.0, max_y_range_m=9.0
@@ -41,7 +41,7 @@ def test_people_side_by_side_are_split_where_together_they_are_too_wide() -> Non
     labels, n = find_clusters(along_x(*people), np.ones(27, dtype=bool), ClusterConfig())
     assert n == 3
     assert labels.tolist() == [0] * 9 + [1] * 9 + [2] * 9
-    as_in_the_paper = ClusterConfig(split_gap_m=0.0)
+    as_in_the_paper = ClusterConfig(split=None)
     labels, n = find_clusters(along_x(*people), np.ones(27, dtype=bool), as_in_the_paper)
     assert n == 0
     assert set(labels) == {-1}
@@ -63,18 +63,25 @@ def test_no_members_no_clusters() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"max_gap_m": 0.0}, "clusters.max_gap_m must be positive, not 0.0"),
-        ({"max_skipped_beams": -1}, "clusters.max_skipped_beams must not be negative, not -1"),
-        ({"min_points": 0}, "clusters.min_points must be at least 1, not 0"),
-        ({"split_min_points": 0}, "clusters.split_min_points must be at least 1, not 0"),
-        ({"split_gap_m": -0.1}, "clusters.split_gap_m must not be negative, not -0.1"),
-        ({"max_x_range_m": 0.0}, "clusters.max_x_range_m and clusters.max_y_range_m must be positive"),
-        (
-            {"max_y_range_m": float("nan")},
-            "clusters.max_x_range_m and clusters.max_y_range_m must be positive",
-        ),
+        ({"max_gap_m": 0.0}, "ClusterConfig.max_gap_m must be positive, not 0.0"),
+        ({"max_skipped_beams": -1}, "ClusterConfig.max_skipped_beams must not be negative, not -1"),
+        ({"min_points": 0}, "ClusterConfig.min_points must be at least 1, not 0"),
+        ({"max_x_range_m": 0.0}, "ClusterConfig.max_x_range_m must be positive, not 0.0"),
+        ({"max_y_range_m": float("nan")}, "ClusterConfig.max_y_range_m must be positive, not nan"),
     ],
 )
 def test_impossible_clusters_are_refused(changes: dict[str, float], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         ClusterConfig(**changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"min_points": 0}, "SplitConfig.min_points must be at least 1, not 0"),
+        ({"gap_m": -0.1}, "SplitConfig.gap_m must be positive, not -0.1"),
+    ],
+)
+def test_impossible_splits_are_refused(changes: dict[str, float], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        SplitConfig(**changes)  # type: ignore[arg-type]

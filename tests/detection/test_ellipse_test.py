@@ -5,9 +5,10 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.scan import Scan
 from slammot_graph.detection import reasons
+from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
 from slammot_graph.detection.ellipse_test import (
-    Detection,
+    CommonModeConfig,
     EllipseTestConfig,
     detect_moving,
     end_point_covariances,
@@ -84,7 +85,7 @@ def test_a_single_beam_is_discarded() -> None:
 
 def test_the_test_stands_back_when_too_much_seems_to_move() -> None:
     scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
-    found = detect(scan, seen_room(), EllipseTestConfig(stand_back_share=0.02))
+    found = detect(scan, seen_room(), EllipseTestConfig(abstain_share=0.02))
     assert not found.is_moving.any()
     assert found.n_clusters == 0
     assert (found.cluster == -1).all()
@@ -96,7 +97,7 @@ NEVER_SEEN = OccupancyGrid(GridConfig())
 
 
 def detect_expected(
-    scan: Scan, grid: OccupancyGrid, *expected: list[float], track_reach_m: float = 0.5
+    scan: Scan, grid: OccupancyGrid, *expected: list[float], track_reach_m: float | None = 0.5
 ) -> Detection:
     return detect_moving(
         scan,
@@ -124,7 +125,7 @@ def test_on_unknown_cells_nothing_moves_where_nobody_is_expected(place: list[flo
     scan = take_scan(POSE, discs=[PERSON])
     assert not detect_expected(scan, NEVER_SEEN).is_moving.any()
     assert not detect_expected(scan, NEVER_SEEN, place).is_moving.any()
-    assert not detect_expected(scan, NEVER_SEEN, PERSON[:2], track_reach_m=0.0).is_moving.any()
+    assert not detect_expected(scan, NEVER_SEEN, PERSON[:2], track_reach_m=None).is_moving.any()
 
 
 def test_a_wall_does_not_move_because_somebody_is_expected_before_it() -> None:
@@ -173,7 +174,7 @@ def test_the_share_of_valid_beams_decides_about_standing_back(share: float, stan
     scan.ranges[:40] = np.nan  # only beams with a return count
     found = detect(scan, grid, EllipseTestConfig())
     limit = share * found.is_moving.sum() / scan.is_valid().sum()
-    again = detect(scan, grid, EllipseTestConfig(stand_back_share=limit))
+    again = detect(scan, grid, EllipseTestConfig(abstain_share=limit))
     assert again.is_moving.any() != stands_back
 
 
@@ -211,15 +212,15 @@ def test_every_reason_has_a_text() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"range_std_m": 0.0}, "motion.range_std_m and motion.angle_std_rad must be positive"),
-        ({"angle_std_rad": -1.0}, "motion.range_std_m and motion.angle_std_rad must be positive"),
-        ({"n_sigma": 0.0}, "motion.n_sigma must be positive, not 0.0"),
-        ({"max_cells": 0}, "motion.max_cells must be at least 1, not 0"),
-        ({"margin_cells": -1}, "motion.margin_cells must not be negative, not -1"),
-        ({"track_reach_m": -0.1}, "motion.track_reach_m must not be negative, not -0.1"),
-        ({"abstain_nis": 0.0}, "motion.abstain_nis must be positive, not 0.0"),
-        ({"stand_back_share": 0.0}, r"motion.stand_back_share must be in \(0, 1\], not 0.0"),
-        ({"stand_back_share": 1.1}, r"motion.stand_back_share must be in \(0, 1\], not 1.1"),
+        ({"range_std_m": 0.0}, "EllipseTestConfig.range_std_m must be positive, not 0.0"),
+        ({"angle_std_rad": -1.0}, "EllipseTestConfig.angle_std_rad must be positive, not -1.0"),
+        ({"n_sigma": 0.0}, "EllipseTestConfig.n_sigma must be positive, not 0.0"),
+        ({"n_sigma": float("inf")}, "EllipseTestConfig.n_sigma must be finite, not inf"),
+        ({"max_cells": 0}, "EllipseTestConfig.max_cells must be at least 1, not 0"),
+        ({"margin_cells": 0}, "EllipseTestConfig.margin_cells must be at least 1, not 0"),
+        ({"track_reach_m": 0.0}, "EllipseTestConfig.track_reach_m must be positive, not 0.0"),
+        ({"abstain_share": 0.0}, r"EllipseTestConfig.abstain_share must be in \(0, 1\], not 0.0"),
+        ({"abstain_share": 1.1}, r"EllipseTestConfig.abstain_share must be in \(0, 1\], not 1.1"),
     ],
 )
 def test_impossible_tests_are_refused(changes: dict[str, float], text: str) -> None:
@@ -230,7 +231,7 @@ def test_impossible_tests_are_refused(changes: dict[str, float], text: str) -> N
 def test_an_error_common_to_the_scan_is_found_by_consensus() -> None:
     scan = take_scan(POSE, discs=[[1.0, 2.5, 0.25]])
     assert scan.truth is not None
-    config = EllipseTestConfig(is_common_mode=True)
+    config = EllipseTestConfig(common_mode=CommonModeConfig())
     found = detect(scan, seen_room(), config)
     np.testing.assert_array_equal(found.is_moving, is_person(scan))
     # a yaw error of two standard deviations would flag walls; the sigma points on them outweigh the others

@@ -5,7 +5,7 @@ import pytest
 
 from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import reasons
-from slammot_graph.detection.ellipse_test import Detection
+from slammot_graph.detection.base import Detection
 from slammot_graph.detection.probability import (
     MAX_RANGE_M,
     NAMES,

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ def steps_of(log: ListLog) -> tuple[list[StepResult], FloatArray]:
     """All steps, and the optimised trajectory."""
     config = get_method("graph-noloop").config
     assert isinstance(config, PipelineConfig)
-    pipeline = Pipeline(replace(config, hindsight=False))
+    pipeline = Pipeline(config)
     try:
         return [pipeline.step(scan) for scan in log], pipeline.final().T_map_base
     finally:

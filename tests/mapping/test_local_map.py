@@ -104,11 +104,14 @@ def test_starting_with_nothing_empties_the_map() -> None:
 )
 @pytest.mark.parametrize("value", [0.0, float("nan")])
 def test_impossible_local_maps_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"local_map.{name} must be positive, not {value}"):
+    with pytest.raises(ConfigError, match=f"LocalMapConfig.{name} must be positive, not {value}"):
         LocalMapConfig(**{name: value})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("n_overlap", "max_keyframes"), [(0, 5), (5, 5), (1, 1)])
 def test_overlap_must_fit_into_a_map(n_overlap: int, max_keyframes: int) -> None:
-    with pytest.raises(ConfigError, match="local_map needs 1 <= n_overlap < max_keyframes"):
+    with pytest.raises(
+        ConfigError,
+        match=r"LocalMapConfig(\.n_overlap must be at| needs n_overlap < max_keyframes)",
+    ):
         LocalMapConfig(n_overlap=n_overlap, max_keyframes=max_keyframes)

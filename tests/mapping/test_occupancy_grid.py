@@ -307,16 +307,16 @@ def test_map_is_cropped_with_its_lower_left_corner() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"resolution_m": 0.0}, "grid.resolution_m must be positive, not 0.0"),
-        ({"resolution_m": math.nan}, "grid.resolution_m must be positive, not nan"),
-        ({"p_hit": 0.5}, "grid needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1"),
-        ({"p_pass": 0.6}, "grid needs 0 < p_min < p_pass"),
-        ({"p_max": 1.0}, "grid needs 0 < p_min < p_pass"),
-        ({"p_min": 0.0}, "grid needs 0 < p_min < p_pass"),
-        ({"p_soft_hit": 0.4}, "grid needs 0.5 <= p_soft_hit <= p_hit"),
-        ({"p_soft_hit": 0.8}, "grid needs 0.5 <= p_soft_hit <= p_hit"),
-        ({"p_free": 0.02}, "grid needs p_min < p_free < 0.5 < p_occupied < p_max"),
-        ({"p_occupied": 0.98}, "grid needs p_min < p_free < 0.5 < p_occupied < p_max"),
+        ({"resolution_m": 0.0}, "GridConfig.resolution_m must be positive, not 0.0"),
+        ({"resolution_m": math.nan}, "GridConfig.resolution_m must be positive, not nan"),
+        ({"p_hit": 0.5}, "GridConfig needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1"),
+        ({"p_pass": 0.6}, "GridConfig needs 0 < p_min < p_pass"),
+        ({"p_max": 1.0}, "GridConfig needs 0 < p_min < p_pass"),
+        ({"p_min": 0.0}, "GridConfig needs 0 < p_min < p_pass"),
+        ({"p_soft_hit": 0.4}, "GridConfig needs 0.5 <= p_soft_hit <= p_hit"),
+        ({"p_soft_hit": 0.8}, "GridConfig needs 0.5 <= p_soft_hit <= p_hit"),
+        ({"p_free": 0.02}, "GridConfig needs p_min < p_free < 0.5 < p_occupied < p_max"),
+        ({"p_occupied": 0.98}, "GridConfig needs p_min < p_free < 0.5 < p_occupied < p_max"),
     ],
 )
 def test_impossible_grids_are_refused(changes: dict[str, Any], text: str) -> None:

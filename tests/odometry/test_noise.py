@@ -66,18 +66,18 @@ def test_the_papers_noise_is_constant() -> None:
 @pytest.mark.parametrize("name", ["still_std_m", "still_std_rad"])
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_still_noise_must_be_positive(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"odometry_noise.{name} must be positive, not {value}"):
+    with pytest.raises(ConfigError, match=f"OdometryNoise.{name} must be positive, not {value}"):
         OdometryNoise(**{name: value})
 
 
 @pytest.mark.parametrize("name", SILENT)
 @pytest.mark.parametrize("value", [-1.0, float("nan")])
 def test_growing_noise_must_not_be_negative(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"odometry_noise.{name} must not be negative, not {value}"):
+    with pytest.raises(ConfigError, match=f"OdometryNoise.{name} must not be negative, not {value}"):
         OdometryNoise(**{name: value})
 
 
 @pytest.mark.parametrize("name", ["x_std_m", "y_std_m", "theta_std_rad"])
 def test_constant_noise_must_be_positive(name: str) -> None:
-    with pytest.raises(ConfigError, match="R_r needs positive x_std_m, y_std_m and theta_std_rad"):
+    with pytest.raises(ConfigError, match=f"ConstantNoise.{name} must be positive, not 0.0"):
         ConstantNoise(**{name: 0.0})

@@ -89,11 +89,10 @@ def test_scans_of_a_room_match_well_enough() -> None:
 
 @pytest.mark.parametrize("name", ["tau_m", "max_distance_m", "pair_std_m"])
 def test_impossible_matches_are_refused(name: str) -> None:
-    text = r"point_to_point\.tau_m, max_distance_m and pair_std_m must be positive"
-    with pytest.raises(ConfigError, match=text):
+    with pytest.raises(ConfigError, match=f"PointToPointConfig.{name} must be positive, not 0.0"):
         PointToPointConfig(**{name: 0.0})  # type: ignore[arg-type]
 
 
 def test_a_match_needs_an_iteration() -> None:
-    with pytest.raises(ConfigError, match=r"point_to_point\.max_iterations must be at least 1, not 0"):
+    with pytest.raises(ConfigError, match=r"PointToPointConfig\.max_iterations must be at least 1, not 0"):
         PointToPointConfig(max_iterations=0)

@@ -160,7 +160,7 @@ def test_the_summary_counts(folder: Path) -> None:
         np.median(result().stage_ms["step"]), rel=1e-3
     )
     assert summary["stages_ms"]["step"]["p95"] >= summary["stages_ms"]["step"]["median"]
-    assert summary["config"]["matcher"] == "scan-to-map"
+    assert summary["config"]["localizer"]["type"] == "ScanToMapConfig"
     assert {"gtsam", "numpy", "python"} <= set(summary["versions"])
     assert summary["scans_per_s"] > 0.0
     assert summary["peak_memory_mb"] > 10.0

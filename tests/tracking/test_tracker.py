@@ -1,30 +1,15 @@
-"""The tracker on walks that are written out.
-
-Over 400 lines because each case builds its own walks.
-"""
-
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.optimize import linear_sum_assignment
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.linalg import mahalanobis2
-from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection.ellipse_test import Detection
-from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.tracking._kernels import OUTSIDE, join_nearest
-from slammot_graph.tracking.tracker import Track, Tracker, TrackerConfig
+from slammot_graph.core.types import FloatArray
+from slammot_graph.tracking.base import Track, track_states
+from slammot_graph.tracking.tracker import KalmanTracker, KalmanTrackerConfig
 
 
-def update(tracker: Tracker, stamp_s: float, *centres: FloatArray) -> list[Track]:
+def update(tracker: KalmanTracker, stamp_s: float, *centres: FloatArray) -> list[Track]:
     k = len(centres)
     beams = [np.arange(3 * c, 3 * c + 3) for c in range(k)]
     return tracker.update(stamp_s, np.array(centres).reshape(-1, 2), np.zeros((k, 2, 2)), beams)
@@ -35,7 +20,7 @@ def at(t: float, x0: float = 0.0, y0: float = 0.0, vx: float = 1.0, vy: float = 
 
 
 def test_a_walker_is_confirmed_and_followed(rng: np.random.Generator) -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     reported = [update(tracker, 0.1 * k, at(0.1 * k) + rng.normal(0, 0.02, 2)) for k in range(60)]
     assert [len(tracks) for tracks in reported[:4]] == [0, 0, 1, 1]
     assert {track.track_id for tracks in reported for track in tracks} == {0}
@@ -46,8 +31,10 @@ def test_a_walker_is_confirmed_and_followed(rng: np.random.Generator) -> None:
 
 
 def test_one_prediction_and_correction_by_hand() -> None:
-    config = TrackerConfig(acceleration_std_m_s2=2.0, centre_std_m=0.5, start_speed_std_m_s=3.0, n_confirm=1)
-    tracker = Tracker(config)
+    config = KalmanTrackerConfig(
+        acceleration_std_m_s2=2.0, centre_std_m=0.5, start_speed_std_m_s=3.0, n_confirm=1
+    )
+    tracker = KalmanTracker(config)
     update(tracker, 10.0, np.zeros(2))
     track = update(tracker, 10.5, np.array([1.0, 0.0]))[0]
     # x and v_x alone: P = [[.25, 0], [0, 9]], one step of 0.5 s, one measurement of variance .25
@@ -59,7 +46,7 @@ def test_one_prediction_and_correction_by_hand() -> None:
 
 
 def test_the_id_survives_a_short_occlusion_without_beams() -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     for k in range(15):
         update(tracker, 0.1 * k, at(0.1 * k))
     for k in range(15, 22):
@@ -71,7 +58,7 @@ def test_the_id_survives_a_short_occlusion_without_beams() -> None:
 
 
 def test_a_long_occlusion_ends_the_track() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=0.5))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=0.5))
     for k in range(10):
         update(tracker, 0.1 * k, at(0.1 * k))
     for k in range(10, 16):
@@ -83,13 +70,13 @@ def test_a_long_occlusion_ends_the_track() -> None:
 
 
 def test_false_alarms_here_and_there_are_never_reported() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=0.3))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=0.3))
     for k in range(20):
         assert update(tracker, 0.1 * k, np.array([7.0 * k, -3.0])) == []
 
 
 def test_crossing_walkers_keep_their_ids(rng: np.random.Generator) -> None:
-    tracker = Tracker(TrackerConfig(centre_std_m=0.05))
+    tracker = KalmanTracker(KalmanTrackerConfig(centre_std_m=0.05))
     for k in range(50):
         t = 0.1 * k
         centres = [at(t, -2.5, -1.25, 1.0, 0.5), at(t, -2.5, 1.25, 1.0, -0.5)]
@@ -104,10 +91,10 @@ def test_crossing_walkers_keep_their_ids(rng: np.random.Generator) -> None:
 
 
 def test_covariance_of_a_track_is_honest(rng: np.random.Generator) -> None:
-    config, dt = TrackerConfig(acceleration_std_m_s2=1.0, centre_std_m=0.1, gate=100.0), 0.1
+    config, dt = KalmanTrackerConfig(acceleration_std_m_s2=1.0, centre_std_m=0.1, gate=100.0), 0.1
     nees, position_nees = [], []
     for _ in range(60):
-        tracker, state = Tracker(config), np.array([*rng.normal(size=2), *rng.normal(size=2)])
+        tracker, state = KalmanTracker(config), np.array([*rng.normal(size=2), *rng.normal(size=2)])
         for k in range(25):
             tracks = update(tracker, dt * k, state[:2] + rng.normal(0, 0.1, 2))
             truth, a = state, rng.normal(size=2)
@@ -121,14 +108,14 @@ def test_covariance_of_a_track_is_honest(rng: np.random.Generator) -> None:
 
 
 def test_what_the_pose_adds_to_a_centre_counts() -> None:
-    tracker = Tracker(TrackerConfig(n_confirm=1))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=1))
     uncertain = np.array([[[0.5, 0.1], [0.1, 0.2]]])
     track = tracker.update(0.0, np.zeros((1, 2)), uncertain, [np.arange(2)])[0]
     np.testing.assert_allclose(track.cov[:2, :2], uncertain[0] + 0.12**2 * np.eye(2))
 
 
 def test_a_backward_stamp_counts_as_no_time() -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     for k in range(20):
         tracks = update(tracker, 0.1 * k, at(0.1 * k))
     state = tracks[0].state
@@ -140,7 +127,7 @@ def test_a_backward_stamp_counts_as_no_time() -> None:
 
 @pytest.mark.parametrize("back_s", [0.5, 2.0, 1e6])
 def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=1.0))
     for k in range(20):
         tracks = update(tracker, 2e6 + 0.1 * k, at(0.1 * k))
     assert [track.track_id for track in tracks] == [0]
@@ -156,7 +143,7 @@ def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
 
 
 def test_who_has_walked_is_expected_where_he_goes() -> None:
-    tracker = Tracker(TrackerConfig(min_way_m=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(min_way_m=1.0))
     assert tracker.predicted_positions(0.0).shape == (0, 2)
     displaced = []
     for k in range(30):
@@ -172,7 +159,7 @@ def test_who_has_walked_is_expected_where_he_goes() -> None:
 
 
 def test_who_has_walked_and_stands_is_still_expected() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=0.5))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=0.5))
     for k in range(60):
         update(tracker, 0.1 * k, at(min(0.1 * k, 3.0)))
     np.testing.assert_allclose(tracker.predicted_positions(6.0), [at(3.0)], atol=0.05)
@@ -182,7 +169,7 @@ def test_who_has_walked_and_stands_is_still_expected() -> None:
 
 
 def test_what_is_not_confirmed_is_not_expected() -> None:
-    tracker = Tracker(TrackerConfig(n_confirm=3, min_way_m=0.1, gate=100.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=3, min_way_m=0.1, gate=100.0))
     for k in range(2):
         update(tracker, 0.5 * k, at(0.5 * k))
     assert np.hypot(*tracker.tracks[0].state[:2]) > 0.1
@@ -191,12 +178,12 @@ def test_what_is_not_confirmed_is_not_expected() -> None:
     assert len(tracker.predicted_positions(1.0)) == 1
 
 
-def update_with(tracker: Tracker, stamp_s: float, centre: FloatArray, is_proven: bool) -> list[Track]:
+def update_with(tracker: KalmanTracker, stamp_s: float, centre: FloatArray, is_proven: bool) -> list[Track]:
     return tracker.update(stamp_s, centre[None], np.zeros((1, 2, 2)), [np.arange(3)], np.array([is_proven]))
 
 
 def test_what_no_free_cell_proves_begins_no_track_and_keeps_none_alive() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=1.0))
     for k in range(10):
         assert update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=False) == []
     assert tracker.tracks == []
@@ -213,14 +200,14 @@ def test_what_no_free_cell_proves_begins_no_track_and_keeps_none_alive() -> None
 
 
 def test_one_proof_makes_up_for_the_time_without() -> None:
-    tracker = Tracker(TrackerConfig(max_missed_s=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(max_missed_s=1.0))
     for k in range(60):
         tracks = update_with(tracker, 0.1 * k, at(0.1 * k), is_proven=k % 9 == 0 or k < 3)
     assert [track.track_id for track in tracks] == [0]
 
 
 def test_nothing_seen_nothing_tracked() -> None:
-    tracker = Tracker(TrackerConfig())
+    tracker = KalmanTracker(KalmanTrackerConfig())
     assert update(tracker, 0.0) == []
     assert update(tracker, 5.0) == []
 
@@ -230,180 +217,17 @@ def test_nothing_seen_nothing_tracked() -> None:
 )
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_impossible_tracks_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=f"tracks.{name} must be positive, not {value}"):
-        TrackerConfig(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=f"KalmanTrackerConfig.{name} must be positive, not {value}"):
+        KalmanTrackerConfig(**{name: value})  # type: ignore[arg-type]
 
 
 def test_a_track_needs_a_hit() -> None:
-    with pytest.raises(ConfigError, match=r"tracks\.n_confirm must be at least 1, not 0"):
-        TrackerConfig(n_confirm=0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Clusters:
-    """One scan's."""
-
-    stamp_s: float
-    centres: FloatArray
-    covs: FloatArray
-    beams: list[IntArray]
-    is_proven: BoolArray
-
-
-class PlainTracker:
-    """The tracker in the filter's textbook form, a track at a time."""
-
-    def __init__(self, config: TrackerConfig) -> None:
-        self.config = config
-        self.tracks: list[Track] = []
-        self.clock_s = -np.inf
-        self.n_begun = 0
-
-    def update(self, clusters: Clusters) -> None:
-        dt = max(clusters.stamp_s - self.clock_s, 0.0) if np.isfinite(self.clock_s) else 0.0
-        is_set_back = clusters.stamp_s < self.clock_s - self.config.max_missed_s
-        self.clock_s = clusters.stamp_s if is_set_back else max(clusters.stamp_s, self.clock_s)
-        noise = clusters.covs + self.config.centre_std_m**2 * np.eye(2)
-        predicted = [self.predict(track, dt) for track in self.tracks]
-        pairs = dict(self.join(predicted, clusters.centres, noise))
-        kept = [
-            self.correct(track, clusters, pairs[t], noise[pairs[t]]) if t in pairs else track
-            for t, track in enumerate(predicted)
-        ]
-        self.tracks = [track for track in kept if track.missed_s <= self.config.max_missed_s]
-        for c, centre in enumerate(clusters.centres):
-            if clusters.is_proven[c] and c not in pairs.values():
-                self.begin(centre, noise[c], clusters.beams[c])
-
-    def predict(self, track: Track, dt: float) -> Track:
-        F = np.eye(4) + dt * np.eye(4, k=2)
-        G = np.vstack([dt**2 / 2 * np.eye(2), dt * np.eye(2)])
-        return replace(
-            track,
-            state=F @ track.state,
-            cov=F @ track.cov @ F.T + self.config.acceleration_std_m_s2**2 * G @ G.T,
-            missed_s=track.missed_s + dt,
-            beams=np.empty(0, dtype=np.int64),
-        )
-
-    def join(self, tracks: list[Track], centres: FloatArray, noise: FloatArray) -> list[tuple[int, int]]:
-        costs = np.full((len(tracks), len(centres)), 1e6)
-        for t, track in enumerate(tracks):
-            for c, centre in enumerate(centres):
-                offset = centre - track.state[:2]
-                distance2 = offset @ np.linalg.inv(track.cov[:2, :2] + noise[c]) @ offset
-                costs[t, c] = distance2 if distance2 <= self.config.gate else 1e6
-        rows, cols = linear_sum_assignment(costs)
-        pairs = zip(rows.tolist(), cols.tolist(), strict=True)
-        return [(t, c) for t, c in pairs if costs[t, c] <= self.config.gate]
-
-    def correct(self, track: Track, clusters: Clusters, c: int, noise: FloatArray) -> Track:
-        H = np.eye(2, 4)
-        K = track.cov @ H.T @ np.linalg.inv(H @ track.cov @ H.T + noise)
-        return replace(
-            track,
-            state=track.state + K @ (clusters.centres[c] - H @ track.state),
-            cov=(np.eye(4) - K @ H) @ track.cov,
-            n_hits=track.n_hits + 1,
-            missed_s=0.0 if clusters.is_proven[c] else track.missed_s,
-            beams=clusters.beams[c],
-        )
-
-    def begin(self, centre: FloatArray, noise: FloatArray, beams: IntArray) -> None:
-        cov = self.config.start_speed_std_m_s**2 * np.eye(4)
-        cov[:2, :2] = noise
-        state = np.array([*centre, 0.0, 0.0])
-        track = Track(
-            track_id=self.n_begun, state=state, cov=cov, start=centre, n_hits=1, missed_s=0.0, beams=beams
-        )
-        self.n_begun += 1
-        self.tracks.append(track)
-
-
-def people_seen(rng: np.random.Generator, n_people: int, room_m: float, n_scans: int) -> list[Clusters]:
-    """Some missed, some seen twice or without proof, in no order, by a clock that stops and runs backward."""
-    places, velocities = rng.uniform(0.0, room_m, (n_people, 2)), rng.normal(0.0, 1.0, (n_people, 2))
-    scans, stamp_s = [], 100.0
-    for _ in range(n_scans):
-        steps_s = [0.1, 0.0, -0.05, 0.6, -3.0]
-        dt = rng.choice(steps_s, p=[0.8, 0.05, 0.05, 0.05, 0.05])
-        stamp_s += dt
-        places = places + max(dt, 0.0) * velocities
-        seen = places[rng.permutation(np.flatnonzero(rng.random(n_people) < 0.8))]
-        seen = np.concatenate([seen, seen[:1] if rng.random() < 0.2 else seen[:0]])
-        k = len(seen)
-        roots = rng.normal(0.0, 0.1, (k, 2, 2))
-        scans.append(
-            Clusters(
-                stamp_s=stamp_s,
-                centres=seen + rng.normal(0.0, 0.1, (k, 2)),
-                covs=roots @ roots.transpose(0, 2, 1),
-                beams=[np.arange(5 * c, 5 * c + 3) for c in range(k)],
-                is_proven=rng.random(k) < 0.8,
-            )
-        )
-    return scans
-
-
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    n_people=st.integers(0, 6),
-    room_m=st.sampled_from([0.5, 3.0, 20.0]),
-    gate=st.sampled_from([1.0, 9.21, 100.0, 2e6]),
-)
-def test_the_tracker_does_what_the_textbook_says(
-    seed: int, n_people: int, room_m: float, gate: float
-) -> None:
-    config = TrackerConfig(gate=gate, max_missed_s=0.5)
-    tracker, plain = Tracker(config), PlainTracker(config)
-    for scan in people_seen(np.random.default_rng(seed), n_people, room_m, 30):
-        confirmed = tracker.update(scan.stamp_s, scan.centres, scan.covs, scan.beams, scan.is_proven)
-        plain.update(scan)
-        assert confirmed == [track for track in tracker.tracks if track.n_hits >= config.n_confirm]
-        assert [(t.track_id, t.n_hits) for t in tracker.tracks] == [
-            (t.track_id, t.n_hits) for t in plain.tracks
-        ]
-        for got, expected in zip(tracker.tracks, plain.tracks, strict=True):
-            np.testing.assert_allclose(got.state, expected.state, rtol=1e-12, atol=1e-12)
-            np.testing.assert_allclose(got.cov, expected.cov, rtol=1e-12, atol=1e-12)
-            np.testing.assert_array_equal(got.cov, got.cov.T)
-            np.testing.assert_array_equal(got.start, expected.start)
-            np.testing.assert_array_equal(got.beams, expected.beams)
-            assert got.missed_s == expected.missed_s
-        displaced = [t for t in plain.tracks if t.n_hits >= 3 and np.hypot(*(t.state[:2] - t.start)) >= 1.0]
-        assert [t.track_id for t in tracker.displaced()] == [t.track_id for t in displaced]
-        later = np.array([t.state[:2] + 0.1 * t.state[2:] for t in displaced]).reshape(-1, 2)
-        np.testing.assert_allclose(
-            tracker.predicted_positions(plain.clock_s + 0.1), later, rtol=1e-12, atol=1e-12
-        )
-
-
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    n_tracks=st.integers(0, 5),
-    n_clusters=st.integers(0, 5),
-    share_outside=st.sampled_from([0.0, 0.5, 0.8]),
-    n_values=st.sampled_from([2, 5, 1000]),
-)
-def test_nearest_tracks_are_joined_only_where_that_is_the_one_best_joining(
-    seed: int, n_tracks: int, n_clusters: int, share_outside: float, n_values: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    shape = (n_tracks, n_clusters)
-    costs = np.where(rng.random(shape) < share_outside, OUTSIDE, rng.integers(0, n_values, shape) / 8.0)
-    cluster_of = np.empty(n_tracks, dtype=np.int64)
-    is_best = join_nearest(costs, cluster_of)
-    is_within = costs < OUTSIDE
-    if (is_within.sum(axis=0) <= 1).all() and (is_within.sum(axis=1) <= 1).all():
-        assert is_best  # nothing to choose
-    if is_best:
-        rows, cols = linear_sum_assignment(costs)
-        best = [[t, c] for t, c in zip(rows.tolist(), cols.tolist(), strict=True) if is_within[t, c]]
-        assert [[t, c] for t, c in enumerate(cluster_of.tolist()) if c >= 0] == best
+    with pytest.raises(ConfigError, match=r"KalmanTrackerConfig\.n_confirm must be at least 1, not 0"):
+        KalmanTrackerConfig(n_confirm=0)
 
 
 def test_a_track_handed_out_stays_as_it_was() -> None:
-    tracker = Tracker(TrackerConfig(n_confirm=1))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=1))
     before = update(tracker, 0.0, at(0.0))[0]
     state, cov = before.state.copy(), before.cov.copy()
     update(tracker, 0.5, at(0.5))
@@ -411,24 +235,19 @@ def test_a_track_handed_out_stays_as_it_was() -> None:
     np.testing.assert_array_equal(before.cov, cov)
 
 
-def test_tracks_are_reported_in_the_map_frame(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pipeline = Pipeline(PipelineConfig(matcher="none", test_covariance="constant"))
-    T_map_local = np.array([3.0, -2.0, 2.5])
-    monkeypatch.setattr(pipeline.localizer, "T_map_local", T_map_local)
+def test_tracks_are_reported_in_the_map_frame(rng: np.random.Generator) -> None:
+    tracker, T_map_local = KalmanTracker(KalmanTrackerConfig()), np.array([3.0, -2.0, 2.5])
     uncertain = np.array([[[0.5, 0.1], [0.1, 0.2]], [[0.01, -0.03], [-0.03, 0.3]]])
     places, velocities = rng.normal(0.0, 9.0, (2, 2)), rng.normal(size=(2, 2))
     beams = [np.arange(3), np.arange(5, 9)]
     for k in range(5):
-        tracks = pipeline.tracker.update(0.1 * k, places + 0.1 * k * velocities, uncertain, beams)
-    nothing = Detection.nothing(np.ones(9, dtype=np.bool_))
-    reported = pipeline._track(cast(Scan, SimpleNamespace(stamp=0.4)), nothing, np.zeros((9, 2)))
-    pipeline.close()
+        tracks = tracker.update(0.1 * k, places + 0.1 * k * velocities, uncertain, beams)
+    reported = track_states(tracks, T_map_local)
     R = se2.rotation(2.5)
     assert [state.track_id for state in reported] == [0, 1]
     for state, track in zip(reported, tracks, strict=True):
         np.testing.assert_allclose(state.position, T_map_local[:2] + R @ track.state[:2], rtol=1e-12)
         np.testing.assert_allclose(state.velocity, R @ track.state[2:], rtol=1e-12)
         np.testing.assert_allclose(state.position_cov, R @ track.cov[:2, :2] @ R.T, rtol=1e-12)
-        assert len(state.beams) == 0
+        np.testing.assert_array_equal(state.beams, track.beams)
+    assert track_states([], T_map_local) == ()

@@ -1,0 +1,21 @@
+"""The localizers there are, by their configuration."""
+
+from slammot_graph.localization.base import Localizer
+from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.localization.dead_reckoning import DeadReckoning
+from slammot_graph.localization.scan_to_map import ScanToMap
+from slammot_graph.localization.scan_to_scan import ScanToScan
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.propagation import WheelOdometry
+
+LocalizerConfig = DeadReckoningConfig | ScanToScanConfig | ScanToMapConfig
+
+
+def make_localizer(config: LocalizerConfig, noise: OdometryNoise | ConstantNoise) -> Localizer:
+    """Build a localizer; `noise` is R_r of its odometry."""
+    model = WheelOdometry(noise)
+    if isinstance(config, DeadReckoningConfig):
+        return DeadReckoning(model)
+    if isinstance(config, ScanToScanConfig):
+        return ScanToScan(model, config.point_to_point)
+    return ScanToMap(model, config)

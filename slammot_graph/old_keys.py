@@ -1,0 +1,189 @@
+"""The flat keys of release 0.1, accepted for one more release: where each of them lies today.
+
+In that release zeros and flags switched parts off whose other keys stayed in the file; here such a part is "none".
+"""
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
+from slammot_graph.detection.no_detection import NoDetectionConfig
+from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.odometry.noise import ConstantNoise
+from slammot_graph.tracking.no_tracking import NoTrackingConfig
+
+if TYPE_CHECKING:
+    from slammot_graph.pipeline_config import PipelineConfig
+
+MOVED = {
+    "matcher": "localizer",
+    "n_lost": "localizer.n_lost",
+    "close_loops": "localizer.close_loops",
+    "local_map": "localizer.local_map",
+    "graph": "localizer.graph",
+    "point_to_point": "localizer.point_to_point",
+    "point_to_line": "localizer.point_to_line",
+    "point_to_line.common_std_m": "localizer.point_to_line.correlated_std_m",
+    "point_to_line.common_std_rad": "localizer.point_to_line.correlated_std_rad",
+    "closure": "localizer.closure",
+    "closure.max_contradiction": "localizer.closure.max_free_space_violation",
+    "closure.surprise": "localizer.closure.gate_scale",
+    "closure.point_to_line.common_std_m": "localizer.closure.point_to_line.correlated_std_m",
+    "closure.point_to_line.common_std_rad": "localizer.closure.point_to_line.correlated_std_rad",
+    "filter_moving": "detector",
+    "test_covariance": "detector.test_covariance",
+    "constant_noise": "detector.test_covariance",
+    "judge_again": "detector.retest",
+    "crowd_share": "detector.retest.crowd_share",
+    "motion": "detector.ellipse_test",
+    "motion.stand_back_share": "detector.ellipse_test.abstain_share",
+    "motion.stand_back_nis": "detector.retest.abstain_nis",
+    "motion.is_common_mode": "detector.ellipse_test.common_mode",
+    "clusters": "detector.clusters",
+    "clusters.split_gap_m": "detector.clusters.split",
+    "clusters.split_min_points": "detector.clusters.split.min_points",
+    "afterimage": "detector.visibility_check",
+    "afterimage.reach_m": "detector.visibility_check",
+    "afterimage.way_m": "detector.visibility_check.distance_m",
+    "hindsight": "detector.backward_pass",
+    "local_grid": "detector.local_grid",
+    "n_window_keyframes": "detector.local_grid.n_keyframes",
+    "free_no_return_m": "detector.local_grid.no_return",
+    "occupy_with_moving": "grid.occupy_with_moving",
+    "tracks": "tracker",
+}
+"""New path of each old key; the longest one that a key begins with counts."""
+
+_LOCALIZERS = {"none": DeadReckoningConfig, "scan-to-scan": ScanToScanConfig, "scan-to-map": ScanToMapConfig}
+
+_CONVERTED: dict[str, Callable[[Any], Any]] = {
+    "matcher": lambda name: {"type": _LOCALIZERS[name].__name__ if name in _LOCALIZERS else name},
+    "filter_moving": lambda on: {"type": (EllipseDetectorConfig if on else NoDetectionConfig).__name__},
+    "test_covariance": lambda name: {} if name == "constant" else name,
+    "judge_again": lambda on: {} if on else "none",
+    "motion.is_common_mode": lambda on: {} if on else "none",
+    "motion.margin_cells": lambda n: n or "none",
+    "motion.track_reach_m": lambda reach_m: reach_m or "none",
+    "clusters.split_gap_m": lambda gap_m: {"gap_m": gap_m} if gap_m else "none",
+    "afterimage.reach_m": lambda reach_m: {"reach_m": reach_m} if reach_m else "none",
+    "free_no_return_m": lambda reach_m: {"reach_m": reach_m} if reach_m else "none",
+}
+"""New values of old ones, where they are not the same."""
+
+_SWITCHES = {
+    "detector.retest": "judge_again",
+    "detector.clusters.split": "clusters.split_gap_m",
+    "detector.visibility_check": "afterimage.reach_m",
+}
+"""The old key that alone puts a part in where the method has none."""
+
+
+def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: str) -> Mapping[str, Any]:
+    """Move values from old keys to new ones, and say so in a warning.
+
+    Parameters
+    ----------
+    values : mapping
+        Nested plain values; returned as they are where no key is an old one.
+    default : PipelineConfig
+        What they are to be laid over.
+    source : str
+        Where they come from.
+
+    Warns
+    -----
+    DeprecationWarning
+        With the new place of each old key.
+    """
+    if not any(key in MOVED for key in values):
+        return values
+    old = dict(_leaves(values))
+    localizer = _LOCALIZERS.get(old.get("matcher", ""), type(default.localizer))
+    has_graph = localizer is ScanToMapConfig
+    detector = default.detector if isinstance(default.detector, EllipseDetectorConfig) else None
+    has_detector = old.get("filter_moving", detector is not None)
+    is_constant = old.get("test_covariance", "constant") == "constant" and (
+        "test_covariance" in old
+        or (detector is not None and isinstance(detector.test_covariance, ConstantNoise))
+    )
+    new: dict[str, Any] = {}
+    told: dict[str, str] = {}
+    for key, value in old.items():
+        root = next((root for root in _roots(key) if root in MOVED), None)
+        path = key if root is None else MOVED[root] + key[len(root) :]
+        if root is not None:
+            told[root] = MOVED[root]
+        if key.startswith("constant_noise.") and not is_constant:
+            continue
+        if key == "free_no_return_m" and not has_graph:
+            path = "grid.no_return"
+        _put(new, path, _CONVERTED[key](value) if key in _CONVERTED else value)
+        if key == "occupy_with_moving":
+            _put(new, "detector.local_grid.occupy_with_moving", value)
+    for path, switch in _SWITCHES.items():
+        if switch not in old and _at(default, path) is None:
+            _remove(new, path)
+    if "localizer" in new:
+        known = {"type", *(field.name for field in fields(localizer))}
+        new["localizer"] = {key: value for key, value in new["localizer"].items() if key in known}
+    if not has_detector:
+        new["detector"] = {"type": NoDetectionConfig.__name__}
+        new["tracker"] = {"type": NoTrackingConfig.__name__}
+    elif not has_graph:
+        _put(new, "detector.local_grid", "none")
+    elif detector is None or detector.local_grid is None:
+        _put(new, "detector.local_grid", {})
+    text = ", ".join(f"{key} -> {path}" for key, path in told.items())
+    warnings.warn(
+        f"{source}: these keys have moved, the next release will not know them: {text}",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    return new
+
+
+def _leaves(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Give the dotted paths of all values that are no tables."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
+
+
+def _roots(key: str) -> Iterator[str]:
+    """Give a dotted path and the shorter ones that it begins with."""
+    while key:
+        yield key
+        key = key.rpartition(".")[0]
+
+
+def _put(tree: dict[str, Any], path: str, value: Any) -> None:
+    """Set a value in nested dicts; "none" stands for a whole part, whatever else is said of it."""
+    *parents, last = path.split(".")
+    for name in parents:
+        tree = tree.setdefault(name, {})
+        if not isinstance(tree, dict):
+            return
+    if not isinstance(value, dict):
+        tree[last] = value
+    elif isinstance(tree.setdefault(last, {}), dict):
+        tree[last].update(value)
+
+
+def _remove(tree: dict[str, Any], path: str) -> None:
+    *parents, last = path.split(".")
+    for name in parents:
+        tree = tree.get(name, {})
+        if not isinstance(tree, dict):
+            return
+    tree.pop(last, None)
+
+
+def _at(config: Any, path: str) -> Any:
+    """Give the part of a configuration at a dotted path; None where there is none."""
+    for name in path.split("."):
+        config = getattr(config, name, None)
+    return config

@@ -1,0 +1,81 @@
+"""The configuration of the pipeline: one part each for localizer, detector, tracker, odometry noise and map."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from slammot_graph.core.checks import Checked, Positive, PositiveShare
+from slammot_graph.core.scan import NO_RETURN_FRACTION
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
+from slammot_graph.detection.no_detection import NoDetectionConfig
+from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.mapping.occupancy_grid import GridConfig
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.tracking.no_tracking import NoTrackingConfig
+from slammot_graph.tracking.tracker import KalmanTrackerConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipelineConfig(Checked):
+    """What a method does: which parts it is made of, and how each is set.
+
+    Attributes
+    ----------
+    localizer : DeadReckoningConfig, ScanToScanConfig (the paper's) or ScanToMapConfig (with the pose graph)
+    detector : NoDetectionConfig or EllipseDetectorConfig
+    tracker : NoTrackingConfig or KalmanTrackerConfig
+    odometry_noise : OdometryNoise or ConstantNoise
+        R_r of the odometry factors and of the prediction: growing with the motion, or constant as in the paper.
+    grid : GridConfig
+        Of the map.
+    max_range_m : float
+        Farther returns are left aside.
+    range_fraction : float
+        From this share of the laser's `range_max` on, a range is no return.
+    """
+
+    localizer: DeadReckoningConfig | ScanToScanConfig | ScanToMapConfig = field(
+        default_factory=ScanToMapConfig
+    )
+    detector: NoDetectionConfig | EllipseDetectorConfig = field(default_factory=EllipseDetectorConfig)
+    tracker: NoTrackingConfig | KalmanTrackerConfig = field(default_factory=KalmanTrackerConfig)
+    odometry_noise: OdometryNoise | ConstantNoise = field(default_factory=OdometryNoise)
+    grid: GridConfig = field(default_factory=GridConfig)
+    max_range_m: Positive = 40.0
+    range_fraction: PositiveShare = NO_RETURN_FRACTION
+
+    def __post_init__(self) -> None:
+        """See `Checked`."""
+        super().__post_init__()
+        if not isinstance(self.detector, EllipseDetectorConfig):
+            return
+        has_local_grid = self.detector.local_grid is not None
+        has_constant_noise = isinstance(self.detector.test_covariance, ConstantNoise)
+        name = type(self.localizer).__name__
+        self.require(
+            has_local_grid or not self.has_graph,
+            f"must be given: the map of {name} is made at the end, there is no other grid to test",
+            key="detector.local_grid",
+        )
+        self.require(
+            self.has_graph or not has_local_grid,
+            f'must be "none": {name} has no keyframes, the map is tested',
+            key="detector.local_grid",
+        )
+        self.require(
+            self.has_graph or has_constant_noise,
+            f"must be a table of constant noise: {name} has no pose graph",
+            key="detector.test_covariance",
+        )
+
+    @property
+    def has_graph(self) -> bool:
+        """Whether the localizer keeps a pose graph, from whose nodes the map is made."""
+        return isinstance(self.localizer, ScanToMapConfig)
+
+    @staticmethod
+    def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: str) -> Mapping[str, Any]:
+        """Move values from the flat keys of release 0.1 to those of today; see `from_plain`."""
+        from slammot_graph.old_keys import with_new_keys
+
+        return with_new_keys(values, default, source)

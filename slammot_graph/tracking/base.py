@@ -1,0 +1,99 @@
+"""What the pipeline asks of a tracker, and what it gets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.results import TrackState
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """One object: state (x, y, vx, vy) [m, m/s] with its covariance, in the tracker's frame.
+
+    Attributes
+    ----------
+    track_id : int
+    state : (4,) array
+    cov : (4, 4) array
+    start : (2,) array
+        Where it was first seen [m].
+    n_hits : int
+    missed_s : float
+        Time since the last cluster.
+    beams : (k,) int array
+        Beams of the latest scan; empty when the track was only predicted.
+    """
+
+    track_id: int
+    state: FloatArray
+    cov: FloatArray
+    start: FloatArray
+    n_hits: int
+    missed_s: float
+    beams: IntArray
+
+
+class Tracker(Protocol):
+    """Follows the clusters of moving points from scan to scan."""
+
+    @property
+    def tracks(self) -> list[Track]:
+        """All tracks now, confirmed or not."""
+
+    def predicted_positions(self, stamp_s: float) -> FloatArray:
+        """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
+
+    def displaced(self) -> list[Track]:
+        """Confirmed tracks of objects that have displaced."""
+
+    def update(
+        self,
+        stamp_s: float,
+        centres: FloatArray,
+        centre_covs: FloatArray,
+        beams: Sequence[IntArray],
+        is_proven: BoolArray | None = None,
+    ) -> list[Track]:
+        """Take in the clusters of a scan.
+
+        Parameters
+        ----------
+        stamp_s : float
+        centres : (k, 2) array [m]
+            Cluster centres, tracker's frame.
+        centre_covs : (k, 2, 2) array [m^2]
+            Of the centres, as far as the pose's uncertainty goes.
+        beams : k int arrays
+            Beams of each cluster.
+        is_proven : (k,) bool array, optional
+            Clusters with a beam on free cells; by default all.
+
+        Returns
+        -------
+        Confirmed tracks.
+        """
+
+
+def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[TrackState, ...]:
+    """Carry tracks from the local frame, which lies at (3,) in the map, into the map frame."""
+    if not tracks:
+        return ()
+    R = se2.rotation(T_map_local[2])
+    turned = np.array([track.state for track in tracks]).reshape(-1, 2, 2) @ R.T  # rows: place, velocity
+    places = turned[:, 0] + T_map_local[:2]
+    covs = R @ np.array([track.cov for track in tracks])[:, :2, :2] @ R.T
+    return tuple(
+        TrackState(
+            track_id=track.track_id,
+            position=place,
+            velocity=velocity,
+            position_cov=cov,
+            beams=track.beams,
+        )
+        for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
+    )

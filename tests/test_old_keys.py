@@ -1,0 +1,217 @@
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slammot_graph.core.config import load_config, to_toml
+from slammot_graph.core.errors import ConfigError
+from slammot_graph.detection.clustering import SplitConfig
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig, RetestConfig
+from slammot_graph.detection.ellipse_test import CommonModeConfig
+from slammot_graph.detection.no_detection import NoDetectionConfig
+from slammot_graph.localization.config import ScanToMapConfig, ScanToScanConfig
+from slammot_graph.methods import METHODS
+from slammot_graph.odometry.noise import ConstantNoise
+from slammot_graph.pipeline_config import PipelineConfig
+from slammot_graph.tracking.tracker import KalmanTrackerConfig
+
+OLD_GRAPH = """
+matcher = "scan-to-map"
+filter_moving = true
+test_covariance = "relative"
+judge_again = true
+crowd_share = 0.15
+hindsight = true
+occupy_with_moving = false
+max_range_m = 40.0
+free_no_return_m = 5.0
+n_window_keyframes = 60
+n_lost = 5
+close_loops = true
+[constant_noise]
+x_std_m = 0.1
+[grid]
+p_hit = 0.7
+[local_grid]
+p_hit = 0.75
+[motion]
+margin_cells = 1
+track_reach_m = 0.4
+stand_back_share = 0.75
+stand_back_nis = 50.0
+is_common_mode = false
+[clusters]
+max_gap_m = 0.6
+split_gap_m = 0.15
+split_min_points = 8
+[tracks]
+gate = 9.21
+[afterimage]
+reach_m = 0.5
+way_m = 0.3
+[local_map]
+cell_m = 0.05
+[point_to_line]
+common_std_m = 0.001
+common_std_rad = 0.0004
+[point_to_point]
+tau_m = 1e-5
+[graph]
+prior_std_m = 1e-4
+[closure]
+max_contradiction = 0.2
+surprise = 4.0
+[closure.point_to_line]
+common_std_m = 0.001
+"""
+
+OLD_PAPER = """
+matcher = "scan-to-scan"
+filter_moving = true
+test_covariance = "constant"
+judge_again = false
+crowd_share = 0.15
+hindsight = false
+occupy_with_moving = true
+free_no_return_m = 5.0
+n_window_keyframes = 60
+n_lost = 5
+close_loops = true
+[constant_noise]
+x_std_m = 0.1
+[grid]
+fill_gaps = false
+[local_grid]
+p_hit = 0.75
+[motion]
+margin_cells = 0
+track_reach_m = 0.0
+stand_back_nis = 50.0
+[clusters]
+split_gap_m = 0.0
+split_min_points = 8
+[afterimage]
+reach_m = 0.0
+way_m = 0.3
+[local_map]
+cell_m = 0.05
+"""
+
+
+def load(tmp_path: Path, text: str, method: str = "graph") -> PipelineConfig:
+    path = tmp_path / "old.toml"
+    path.write_text(text)
+    with pytest.warns(DeprecationWarning, match=r"old\.toml: these keys have moved"):
+        config = load_config(path, METHODS[method].config)
+    assert isinstance(config, PipelineConfig)
+    return config
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        (OLD_GRAPH, "graph"),
+        (OLD_GRAPH.replace("filter_moving = true", "filter_moving = false"), "graph-nofilter"),
+        (OLD_GRAPH.replace('"relative"', '"constant"'), "graph-fixed"),
+        (OLD_GRAPH.replace('"relative"', '"absolute"'), "graph-absolute"),
+        (OLD_GRAPH.replace("close_loops = true", "close_loops = false"), "graph-noloop"),
+        (OLD_PAPER, "docpfo"),
+        (OLD_PAPER.replace("filter_moving = true", "filter_moving = false"), "icp"),
+        (
+            OLD_PAPER.replace("filter_moving = true", "filter_moving = false").replace(
+                "scan-to-scan", "none"
+            ),
+            "odometry",
+        ),
+    ],
+)
+@pytest.mark.parametrize("over", ["itself", "graph"])
+def test_a_whole_file_of_the_earlier_release_is_the_same_method(
+    tmp_path: Path, text: str, name: str, over: str
+) -> None:
+    assert load(tmp_path, text, name if over == "itself" else over) == METHODS[name].config
+
+
+def detector(**changes: Any) -> PipelineConfig:
+    return PipelineConfig(detector=replace(EllipseDetectorConfig(), **changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("n_lost = 7", PipelineConfig(localizer=ScanToMapConfig(n_lost=7))),
+        ("close_loops = false", PipelineConfig(localizer=ScanToMapConfig(close_loops=False))),
+        ("tracks.n_confirm = 5", PipelineConfig(tracker=KalmanTrackerConfig(n_confirm=5))),
+        ("hindsight = false", detector(backward_pass=False)),
+        ("judge_again = false", detector(retest=None)),
+        ("crowd_share = 0.3", detector(retest=RetestConfig(crowd_share=0.3))),
+        ("motion.stand_back_nis = 9.0", detector(retest=RetestConfig(abstain_nis=9.0))),
+        ("afterimage.reach_m = 0.0", detector(visibility_check=None)),
+        ('test_covariance = "constant"', detector(test_covariance=ConstantNoise())),
+        (
+            'test_covariance = "constant"\nconstant_noise.x_std_m = 0.2',
+            detector(test_covariance=ConstantNoise(x_std_m=0.2)),
+        ),
+        ("constant_noise.x_std_m = 0.2", PipelineConfig()),
+    ],
+)
+def test_an_old_key_is_moved(tmp_path: Path, text: str, expected: PipelineConfig) -> None:
+    assert load(tmp_path, text) == expected
+
+
+def test_old_and_new_keys_may_stand_together(tmp_path: Path) -> None:
+    text = "motion.is_common_mode = true\nmax_range_m = 9.0\n[detector.clusters]\nmin_points = 3"
+    config = load(tmp_path, text)
+    assert isinstance(config.detector, EllipseDetectorConfig)
+    assert config.detector.ellipse_test.common_mode == CommonModeConfig()
+    assert (config.detector.clusters.min_points, config.max_range_m) == (3, 9.0)
+
+
+def test_keys_of_a_part_that_the_method_does_not_have_put_none_in(tmp_path: Path) -> None:
+    text = "crowd_share = 0.3\nclusters.split_min_points = 4\nafterimage.way_m = 0.2"
+    assert load(tmp_path, text, "docpfo") == METHODS["docpfo"].config
+    config = load(tmp_path, "clusters.split_gap_m = 0.2\njudge_again = true", "docpfo")
+    assert isinstance(config.detector, EllipseDetectorConfig)
+    assert config.detector.clusters.split == SplitConfig(gap_m=0.2)
+    assert config.detector.retest == RetestConfig()
+
+
+def test_another_matcher_brings_its_own_part(tmp_path: Path) -> None:
+    text = 'matcher = "scan-to-scan"\ntest_covariance = "constant"\npoint_to_point.tau_m = 0.1'
+    config = load(tmp_path, text)
+    assert isinstance(config.localizer, ScanToScanConfig)
+    assert config.localizer.point_to_point.tau_m == 0.1
+    assert load(tmp_path, "filter_moving = false").detector == NoDetectionConfig()
+
+
+def test_the_warning_names_each_new_key(tmp_path: Path) -> None:
+    path = tmp_path / "old.toml"
+    path.write_text("n_lost = 3\n[motion]\nn_sigma = 3.0\nstand_back_share = 0.5")
+    with pytest.warns(DeprecationWarning) as told:
+        load_config(path, PipelineConfig())
+    assert len(told) == 1
+    assert str(told[0].message) == (
+        f"{path}: these keys have moved, the next release will not know them: n_lost -> localizer.n_lost, "
+        "motion -> detector.ellipse_test, motion.stand_back_share -> detector.ellipse_test.abstain_share"
+    )
+
+
+def test_a_bad_value_is_told_by_its_new_path(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"old\.toml: detector\.ellipse_test\.n_sigma must be positive, not -1"
+    ):
+        load(tmp_path, "motion.n_sigma = -1")
+    with pytest.raises(ConfigError, match=r"old\.toml: detector\.ellipse_test: unknown key 'n_sigmas'"):
+        load(tmp_path, "motion.n_sigmas = 1")
+    with pytest.raises(ConfigError, match=r"old\.toml: localizer\.type: expected 'DeadReckoningConfig' or"):
+        load(tmp_path, 'matcher = "icp"')
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if not name.startswith("kiss")])
+def test_todays_files_are_read_without_a_warning(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "new.toml"
+    path.write_text(to_toml(METHODS[name].config))
+    for method in METHODS.values():
+        if isinstance(method.config, PipelineConfig):
+            assert load_config(path, method.config) == METHODS[name].config
