@@ -185,7 +185,7 @@ class Pipeline:
     ) -> tuple[Estimate, MatchResult | None, Detection]:
         """Match what does not move and test again at the matched pose; in a crowd, once more with a narrower kernel."""
         points_base = scan.points_base()
-        matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving)
+        matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving, is_valid=is_valid)
         self._stopwatch.lap("match")
         if match is None:
             return matched, match, detection
@@ -193,7 +193,9 @@ class Pipeline:
         factor = self.detector.kernel_factor(detection, is_valid)
         if factor < 1.0:
             self._stopwatch.lap("detect")
-            matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving, factor)
+            matched, match = self.localizer.match(
+                points_base, is_valid & ~detection.is_moving, factor, is_valid
+            )
             self._stopwatch.lap("match")
             if match is not None:
                 detection = self.detector.retest(

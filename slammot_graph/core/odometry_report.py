@@ -33,8 +33,8 @@ class OdometryReport:
     heading_bias_rad_per_m : Estimated
         True turn per metre driven where the odometry tells of none [rad/m].
     direction_rad : Estimated
-        Direction of the true motion where the odometry tells of one straight ahead [rad]: a laser whose mounting is turned
-        by pi moves backward.
+        Direction of the true motion where the odometry tells of one straight ahead [rad]: a laser whose mounting is
+        turned by pi moves backward.
     noise_scale_m, noise_scale_rad : Estimated
         Standard deviation of the odometry's increments over that of the noise model, translation and rotation.
     n_by_odometry, n_by_previous_motion : int

@@ -47,8 +47,6 @@ class MatchResult:
         consistent); NaN where the match failed or was made without a prediction.
     reason : str
         Why it failed or is degenerate; empty when converged.
-    is_refused : bool
-        It failed only because it contradicts the odometry.
     """
 
     status: MatchStatus
@@ -65,7 +63,7 @@ class MatchResult:
     residual_m: float
     nis: float = math.nan
     reason: str = ""
-    is_refused: bool = False
+    contradicts_odometry: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

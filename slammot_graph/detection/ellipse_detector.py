@@ -199,7 +199,7 @@ class EllipseDetector:
         if retest is None:
             return detection
         if match.status == "failed":
-            return detection if match.is_refused else detection.abstain()
+            return detection.abstain()
         if match.nis > retest.abstain_nis:
             return detection.abstain()
         distance_m, turn_rad = se2.distance(self._T_tested, matched.T_local_base)

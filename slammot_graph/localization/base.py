@@ -1,6 +1,6 @@
 """What the pipeline asks of a localizer, and what it gets."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -94,12 +94,16 @@ class Localizer(Protocol):
         """Carry the last estimate along the motion to the new scan."""
 
     def match(
-        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+        self,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        kernel_factor: float = 1.0,
+        is_valid: BoolArray | None = None,
     ) -> tuple[Estimate, MatchResult | None]:
         """Match the static points (n, 2) of the new scan; the prediction comes back where that fails.
 
         May be called again for the same scan and begins anew then. A robust kernel, if there is one, is made
-        narrower by `kernel_factor`.
+        narrower by `kernel_factor`. `is_valid` are all returns of the scan, those that move included.
         """
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
@@ -118,21 +122,6 @@ class Localizer(Protocol):
 def fuse(cov_prior: FloatArray, match: MatchResult) -> FloatArray:
     """(3, 3) covariance of a prediction and a match taken together, as the next prior counts it: cautious."""
     return fused(cov_prior, match.graph_information)
-
-
-def refuse(match: MatchResult, reason: str) -> MatchResult:
-    """Call a match failed after all: it tells nothing."""
-    nothing = np.zeros((3, 3))
-    return replace(
-        match,
-        status="failed",
-        information=nothing,
-        graph_information=nothing,
-        cov=1e6 * np.eye(3),
-        nis=np.nan,
-        reason=reason,
-        is_refused=True,
-    )
 
 
 FIRST_COV: FloatArray = 1e-8 * np.eye(3)

@@ -4,11 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slammot_graph.core.checks import Checked, Count, NotNegative, Positive, Share
+from slammot_graph.core.checks import AtLeastOne, Checked, Count, NotNegative, Positive, PositiveShare, Share
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraphConfig
 from slammot_graph.loop_closure import LoopClosureConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
+from slammot_graph.odometry.adaptive import AdaptiveOdometryConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from slammot_graph.registration.point_to_point import PointToPointConfig
 
@@ -45,16 +46,24 @@ class ScanToMapConfig(Checked):
         Standard deviations of the motion since the last keyframe when the robot is lost, or the odometry has jumped.
     lost_distance_m : float
         Path length that a lost robot may have been carried, when it comes to recognising places.
-    jump_inlier_ratio, jump_nis : float
-        A match with fewer inliers and a larger normalised innovation squared is tried again without the odometry ...
-    jump_inlier_gain : float
-        ... which is believed where it has that many inliers, and more by this than a match that did not fail.
-    max_counted_nis : float
-        A single innovation counts for no more than this in the running mean of its normalised square ...
-    nis_gain : float
-        ... and with this weight.
+    motion_dof : float
+        Degrees of freedom of Student's t for the error of the predicted motion: 4 is far from Gaussian.
+    min_tail_nis, min_tail_scale : float
+        From this normalised innovation squared on its scale is looked for, and from this scale on the match is
+        repeated ...
+    tail_gain : float
+        ... and taken where so many more of the returns agree, or `min_agreement` of them.
+    usual_share : float
+        A match with which a smaller share of the returns agrees than this times the usual one is doubtful ...
+    usual_gain : float
+        ... the usual one being a running mean with this weight of the latest match ...
+    agreement_gain : float
+        ... and one from another start is believed where so many more agree.
+    min_agreement : float
+        Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
+        that moves disagree.
     close_loops : bool
-    local_map, point_to_line, graph, closure
+    odometry, local_map, point_to_line, graph, closure
         Configuration of the parts.
     """
 
@@ -63,12 +72,16 @@ class ScanToMapConfig(Checked):
     lost_std_m: Positive = 3.0
     lost_std_rad: Positive = 0.8
     lost_distance_m: NotNegative = 20.0
-    jump_inlier_ratio: Share = 0.6
-    jump_nis: Positive = 45.0
-    jump_inlier_gain: Share = 0.15
-    max_counted_nis: Positive = 50.0
-    nis_gain: Share = 0.1
+    motion_dof: Positive = 4.0
+    min_tail_nis: NotNegative = 6.0
+    min_tail_scale: AtLeastOne = 1.5
+    tail_gain: Share = 0.05
+    usual_share: Share = 0.75
+    usual_gain: PositiveShare = 0.05
+    agreement_gain: Share = 0.05
+    min_agreement: Share = 0.75
     close_loops: bool = True
+    odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
     graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)

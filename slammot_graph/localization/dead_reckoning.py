@@ -34,14 +34,18 @@ class DeadReckoning:
         return self.estimate
 
     def match(
-        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+        self,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        kernel_factor: float = 1.0,
+        is_valid: BoolArray | None = None,
     ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`; there is none."""
         return self.estimate, None
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
-        self.model.correct(self.estimate.T_local_base)
+        self.model.correct(self.estimate.T_local_base, None)
         self._history.append(self.estimate)
         return CommitResult()
 

@@ -5,6 +5,7 @@ from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConf
 from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.localization.scan_to_map import ScanToMap
 from slammot_graph.localization.scan_to_scan import ScanToScan
+from slammot_graph.odometry.adaptive import AdaptiveOdometry
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.odometry.propagation import WheelOdometry
 
@@ -13,9 +14,8 @@ LocalizerConfig = DeadReckoningConfig | ScanToScanConfig | ScanToMapConfig
 
 def make_localizer(config: LocalizerConfig, noise: OdometryNoise | ConstantNoise) -> Localizer:
     """Build a localizer; `noise` is R_r of its odometry."""
-    model = WheelOdometry(noise)
     if isinstance(config, DeadReckoningConfig):
-        return DeadReckoning(model)
+        return DeadReckoning(WheelOdometry(noise))
     if isinstance(config, ScanToScanConfig):
-        return ScanToScan(model, config.point_to_point)
-    return ScanToMap(model, config)
+        return ScanToScan(WheelOdometry(noise), config.point_to_point)
+    return ScanToMap(AdaptiveOdometry(noise, config.odometry), config)

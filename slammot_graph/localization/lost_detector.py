@@ -28,7 +28,7 @@ class LostDetector:
     kidnapped_distance_m : float
         A robot whose odometry moved less than this while it saw nothing may have been kidnapped.
     n_failed : int
-        Matches that failed in a row, save those without enough points and those that only contradict the odometry.
+        Matches that failed in a row, save those without enough points.
     n_blind : int
         Scans in a row with nothing in sight.
     """
@@ -57,7 +57,7 @@ class LostDetector:
         """
         has_failed = match is not None and match.status == "failed"
         if match is not None and has_failed:
-            self.n_failed += has_points and not match.is_refused
+            self.n_failed += has_points
         else:
             self.n_failed = 0
         loss = None

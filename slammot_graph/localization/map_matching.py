@@ -1,4 +1,4 @@
-"""A scan matched onto the local map: without the odometry where that has jumped, and refused where improbable."""
+"""A scan matched onto the local map, also where the prediction is wrong."""
 
 from dataclasses import replace
 
@@ -7,10 +7,10 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.localization.base import fuse, refuse
+from slammot_graph.localization.base import fuse
 from slammot_graph.localization.config import ScanToMapConfig
-from slammot_graph.localization.innovation_gate import InnovationGate
 from slammot_graph.mapping.local_map import LocalMap
+from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
 from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
 
@@ -26,15 +26,18 @@ class MapMatching:
     config : ScanToMapConfig
     local_map : LocalMap
         Must hold a keyframe.
-    gate : InnovationGate
     """
 
     def __init__(self, config: ScanToMapConfig, local_map: LocalMap) -> None:
         self.config = config
         self.local_map = local_map
-        self.gate = InnovationGate(config.point_to_line.max_nis, config.max_counted_nis, config.nis_gain)
         self._laser_base: FloatArray = np.zeros(2)
         self._T_local_before: FloatArray = se2.IDENTITY
+        self._increment_before: FloatArray = se2.IDENTITY
+        self._static_share = 1.0
+        self._usual_agreement = 0.0
+        self._elsewhere: MotionState | None = None
+        self._latest: MatchResult | None = None
 
     def start_scan(self, laser_base: FloatArray, T_local_before: FloatArray) -> None:
         """Move on to the next scan.
@@ -46,78 +49,129 @@ class MapMatching:
         T_local_before : (3,) array
             The pose at the scan before.
         """
+        self._increment_before = se2.between(self._T_local_before, T_local_before)
         self._laser_base, self._T_local_before = laser_base, T_local_before
-        self.gate.start_scan()
+        if self._latest is not None and self._latest.status == "converged":
+            agreement = self.agreement(self._latest)
+            self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
+        self._latest = self._elsewhere = None
 
     def match(
-        self, points_base: FloatArray, is_static: BoolArray, start: MotionState, kernel_factor: float = 1.0
+        self,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        start: MotionState,
+        kernel_factor: float = 1.0,
+        is_valid: BoolArray | None = None,
     ) -> tuple[MatchResult, MotionState]:
         """Match the static points (n, 2) of the scan from a predicted state; that comes back where it fails.
+
+        A match with which most of the scan's returns agree may contradict the prediction: the covariance of the motion is
+        stretched as Student's t asks for. Where fewer agree than usual, the prediction may be wrong, and with it what was
+        called moving there: all returns (`is_valid`) are matched from other starts. Where no pose is agreed by most of
+        them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds.
 
         A match with a narrower kernel that fails is made again with the usual one.
         """
         config = self.config.point_to_line
         if kernel_factor != 1.0:
             config = replace(config, kernel_scale_m=kernel_factor * config.kernel_scale_m)
-        state = start
-        match, T_local_base, cov_independent = self._match_from(
-            points_base, is_static, state.T_local_base, state.cov_prior, state.cov_independent, config
-        )
-        nis = 0.0 if match.status == "failed" else match.nis
-        if self._looks_like_jump(match, nis):
-            second = self._match_without_odometry(points_base, is_static, match, config)
-            if second is not None:
-                match, T_local_base, cov_independent = second
-                wide = self.config.lost_cov
-                state = replace(state, cov_odometry=state.cov_odometry + wide, cov_prior=wide)
+        is_valid = is_static if is_valid is None else is_valid
+        start = state = self._elsewhere or start
+        self._static_share = np.count_nonzero(is_static) / max(np.count_nonzero(is_valid), 1)
+        matched = self._match_from(points_base, is_static, start, config)
+        if kernel_factor == 1.0:
+            matched, state = self._against_prediction(points_base, is_static, is_valid, matched, start)
+        match = matched[0]
         if match.status == "failed" and kernel_factor < 1.0:
-            return self.match(points_base, is_static, start)
-        if self.gate.is_improbable(nis):
-            match = refuse(match, f"improbable, innovation squared {nis:.0f}")
-            T_local_base, cov_independent = state.T_local_base, state.cov_independent
+            return self.match(points_base, is_static, start, is_valid=is_valid)
+        _, T_local_base, cov_independent = matched
         state = replace(state, T_local_base=T_local_base, cov_independent=cov_independent)
         if match.status != "failed":
             cov_prior = fuse(state.cov_prior, match)
             state = replace(state, cov_correlated=match.cov_correlated, cov_prior=cov_prior)
+        if self._elsewhere is not None:
+            match = replace(match, contradicts_odometry=True)
+        self._latest = match
         return match, state
 
-    def _match_from(
+    def is_agreed(self, match: MatchResult) -> bool:
+        """Tell whether most of the latest scan's returns agree with its match."""
+        return self.agreement(match) >= self.config.min_agreement
+
+    def agreement(self, match: MatchResult) -> float:
+        """Share of the scan's returns that agree with a match; those called moving do not."""
+        return self._static_share * match.inlier_ratio
+
+    def _against_prediction(
         self,
         points_base: FloatArray,
         is_static: BoolArray,
-        T_local_base: FloatArray,
-        cov: FloatArray,
-        cov_independent: FloatArray,
-        config: PointToLineConfig,
+        is_valid: BoolArray,
+        matched: _Matched,
+        start: MotionState,
+    ) -> tuple[_Matched, MotionState]:
+        """Let a match that most returns agree with contradict the prediction."""
+        config = self.config.point_to_line
+        if self._is_doubtful(matched[0]):
+            elsewhere = self._match_elsewhere(points_base, is_valid, matched[0], start)
+            if elsewhere is None:
+                return matched, start
+            self._elsewhere, self._static_share = elsewhere, 1.0
+            return self._match_from(points_base, is_valid, elsewhere, config), elsewhere
+        scale = self._tail_scale(matched[0], start)
+        if scale > self.config.min_tail_scale:
+            loosened = start.loosened((scale - 1.0) * start.cov_motion)
+            second = self._match_from(points_base, is_static, loosened, config)
+            needed = min(self.config.min_agreement, self.agreement(matched[0]) + self.config.tail_gain)
+            if self.agreement(second[0]) >= needed:
+                return second, loosened
+        return matched, start
+
+    def _match_from(
+        self, points_base: FloatArray, is_static: BoolArray, start: MotionState, config: PointToLineConfig
     ) -> _Matched:
         return match_to_local_map(
             points_base,
             is_static,
             self._laser_base,
             self.local_map,
-            T_local_base,
-            cov,
+            start.T_local_base,
+            start.cov_prior,
             config,
-            cov_independent,
+            start.cov_independent,
         )
 
-    def _looks_like_jump(self, match: MatchResult, nis: float) -> bool:
-        """Tell whether it may be the odometry that is wrong."""
+    def _tail_scale(self, match: MatchResult, state: MotionState) -> float:
+        """How far the covariance of the latest motion must be stretched for the match to be likely."""
+        if match.status == "failed" or match.nis < self.config.min_tail_nis:
+            return 1.0
+        return heavy_tail_scale(
+            match.innovation, state.cov_prior, match.cov, state.cov_motion, self.config.motion_dof
+        )
+
+    def _is_doubtful(self, match: MatchResult) -> bool:
+        """Tell whether so few returns agree that the prediction may have led astray."""
         if match.status == "failed":
             return True
-        return match.inlier_ratio < self.config.jump_inlier_ratio and nis > self.config.jump_nis
+        return self.agreement(match) < self.config.usual_share * self._usual_agreement
 
-    def _match_without_odometry(
-        self, points_base: FloatArray, is_static: BoolArray, doubtful: MatchResult, config: PointToLineConfig
-    ) -> _Matched | None:
-        """Match again from where the robot was before; None where that is not clearly better."""
-        wide = self.config.lost_cov
-        match, T_local_base, cov = self._match_from(
-            points_base, is_static, self._T_local_before, wide, wide, config
-        )
-        needed = self.config.jump_inlier_ratio
-        if doubtful.status != "failed":
-            needed = max(needed, doubtful.inlier_ratio + self.config.jump_inlier_gain)
-        if match.status != "failed" and match.inlier_ratio > needed:
-            return match, T_local_base, cov
-        return None
+    def _match_elsewhere(
+        self, points_base: FloatArray, is_valid: BoolArray, doubtful: MatchResult, start: MotionState
+    ) -> MotionState | None:
+        """Match all returns from where the robot was before, and from where its last motion leads.
+
+        Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
+        """
+        config, wide = self.config.point_to_line, self.config.lost_cov
+        anywhere = replace(start.loosened(wide), cov_prior=wide, cov_independent=wide)
+        needed = max(self.agreement(doubtful) + self.config.agreement_gain, self.config.min_agreement)
+        best: MotionState | None = None
+        for T in (self._T_local_before, se2.compose(self._T_local_before, self._increment_before)):
+            match, T_found, _ = self._match_from(
+                points_base, is_valid, replace(anywhere, T_local_base=T), config
+            )
+            if match.status == "converged" and match.inlier_ratio > needed:
+                needed = match.inlier_ratio
+                best = replace(anywhere, T_local_base=T_found)
+        return best

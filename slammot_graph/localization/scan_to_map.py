@@ -16,6 +16,7 @@ from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.localization.scan_poses import ScanPoses
 from slammot_graph.loop_closure import LoopCloser
 from slammot_graph.mapping.local_map import NO_NODE, LocalMap, make_keyframe
+from slammot_graph.odometry.motion import MatchedPose
 from slammot_graph.odometry.propagation import MotionModel, Propagation
 
 
@@ -44,6 +45,7 @@ class ScanToMap:
         self.lost = LostDetector(config.n_lost, config.kidnapped_distance_m)
         self.insertion = GraphInsertion(config, self.local_map)
         self._match: MatchResult | None = None
+        self._T_local_anchor: FloatArray = se2.IDENTITY
         self._scan_poses = ScanPoses()
 
     @property
@@ -68,14 +70,19 @@ class ScanToMap:
         return self._estimate()
 
     def match(
-        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+        self,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        kernel_factor: float = 1.0,
+        is_valid: BoolArray | None = None,
     ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
         self._match = None
         start = self.propagation.restart()
         if self.local_map.keyframes:
+            self._T_local_anchor = self.local_map.anchor.T_local_base
             self._match, self.propagation.state = self.matching.match(
-                points_base, is_static, start, kernel_factor
+                points_base, is_static, start, kernel_factor, is_valid
             )
         return self._estimate(), self._match
 
@@ -99,7 +106,7 @@ class ScanToMap:
             if has_points:
                 closures = self._add_keyframe(node, scan, points_base, is_static)
         self._attach()
-        propagation.commit()
+        propagation.commit(None if is_lost else self._matched_pose())
         return CommitResult(
             node=node,
             is_keyframe=is_keyframe,
@@ -146,6 +153,19 @@ class ScanToMap:
             cov_absolute=se2.compound_covariance(self.insertion.cov_anchor, T_anchor_base, cov_relative),
             T_anchor_base=T_anchor_base,
             anchor_scan=node_scans[anchor] if node_scans else -1,
+        )
+
+    def _matched_pose(self) -> MatchedPose | None:
+        """Where the match alone found the base, for the motion model to learn from."""
+        match = self._match
+        if match is None or match.status == "failed":
+            return None
+        return MatchedPose(
+            T_local_base=se2.compose(self._T_local_anchor, match.T_ref_base),
+            cov=match.cov,
+            cov_independent=match.cov - match.cov_correlated,
+            agreement=self.matching.agreement(match),
+            is_reliable=match.status == "converged" and self.matching.is_agreed(match),
         )
 
     def _look_for_loss(self, scan: Scan, has_points: bool) -> list[Event]:

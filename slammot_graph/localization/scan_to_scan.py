@@ -31,7 +31,11 @@ class ScanToScan(DeadReckoning):
         return super().predict(scan)
 
     def match(
-        self, points_base: FloatArray, is_static: BoolArray, kernel_factor: float = 1.0
+        self,
+        points_base: FloatArray,
+        is_static: BoolArray,
+        kernel_factor: float = 1.0,
+        is_valid: BoolArray | None = None,
     ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
         if self._reference is None:

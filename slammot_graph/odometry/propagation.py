@@ -12,23 +12,8 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """Motion of the base between two scans.
-
-    Attributes
-    ----------
-    increment : (3,) array
-        The base in its own frame at the scan before [m, m, rad].
-    cov : (3, 3) array
-        Its covariance, right perturbation (body frame).
-    """
-
-    increment: FloatArray
-    cov: FloatArray
 
 
 class MotionModel(Protocol):
@@ -41,10 +26,10 @@ class MotionModel(Protocol):
     def advance(self, scan: Scan) -> Motion | None:
         """Move on to the next scan: the motion since the one before, None at the first."""
 
-    def correct(self, T_local_base: FloatArray) -> None:
-        """Take in where the base was found at the scan of the last `advance`, local frame (3,).
+    def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
+        """Take in where the base was found at the scan of the last `advance`, local frame (3,), and by which match.
 
-        A model that predicts from earlier motion learns from this; wheels do not.
+        A model that predicts from earlier motion or calibrates itself learns from this.
         """
 
 
@@ -71,8 +56,8 @@ class WheelOdometry:
         increment = se2.between(before, self.T_odom_base)
         return Motion(increment=increment, cov=self.noise.covariance(increment))
 
-    def correct(self, T_local_base: FloatArray) -> None:
-        """See `MotionModel`; wheels learn nothing."""
+    def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
+        """See `MotionModel`; nothing is learnt."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,6 +75,8 @@ class MotionState:
         The errors that the matches of neighbouring scans share; the motion leaves it as it is.
     cov_odometry : (3, 3) array
         Of the odometry's motion since the last keyframe.
+    cov_motion : (3, 3) array
+        Of the motion since the scan before, which is part of all of them but `cov_correlated`.
     """
 
     T_local_base: FloatArray
@@ -97,6 +84,7 @@ class MotionState:
     cov_independent: FloatArray
     cov_correlated: FloatArray
     cov_odometry: FloatArray
+    cov_motion: FloatArray
 
     @property
     def cov_relative(self) -> FloatArray:
@@ -115,6 +103,17 @@ class MotionState:
             cov_prior=cov_prior,
             cov_independent=cov_independent,
             cov_odometry=cov_odometry,
+            cov_motion=motion.cov,
+        )
+
+    def loosened(self, extra: FloatArray) -> "MotionState":
+        """Trust the motion since the scan before less, by an extra covariance (3, 3) (body frame)."""
+        return replace(
+            self,
+            cov_prior=self.cov_prior + extra,
+            cov_independent=self.cov_independent + extra,
+            cov_odometry=self.cov_odometry + extra,
+            cov_motion=self.cov_motion + extra,
         )
 
 
@@ -147,6 +146,7 @@ class Propagation:
             cov_independent=cov,
             cov_correlated=np.zeros((3, 3)),
             cov_odometry=np.zeros((3, 3)),
+            cov_motion=np.zeros((3, 3)),
         )
         self.predicted = self.state
         self.T_local_before: FloatArray = se2.IDENTITY
@@ -190,6 +190,6 @@ class Propagation:
         )
         self.path_m += distance_m
 
-    def commit(self) -> None:
-        """Tell the motion model where the base was found at this scan."""
-        self.model.correct(self.state.T_local_base)
+    def commit(self, match: MatchedPose | None) -> None:
+        """Tell the motion model where the base was found at this scan, and by which match."""
+        self.model.correct(self.state.T_local_base, match)

@@ -12,7 +12,6 @@ from slammot_graph.core.checks import (
     Count,
     NotNegative,
     Positive,
-    PositiveOrInfinite,
     PositiveShare,
     Range,
 )
@@ -60,10 +59,6 @@ class PointToLineConfig(Checked):
     weak_ratio : float
         A direction is weak if its share of the information (scaled to metres, per pair) is below this; it
         carries none into the graph.
-    max_nis : float
-        A match whose normalised innovation squared is above this is refused, but only while its running mean is
-        above it too: then the match keeps contradicting the odometry, as when most of what the laser sees walks
-        with the robot.
     fragile_pairs : float
         A direction that so many pairs determine is known to `kernel_scale_m` only, since they may all be on something
         that moves; one that twice as many do, to a quarter of that.
@@ -88,7 +83,6 @@ class PointToLineConfig(Checked):
     min_inlier_ratio: Annotated[float, Range(low=0.0, high=1.0, is_high_open=True)] = 0.3
     weak_ratio: Annotated[float, Range(low=0.0, high=0.3, is_high_open=True)] = 0.01
     fragile_pairs: NotNegative = 2.0
-    max_nis: PositiveOrInfinite = 16.0
     search_m: NotNegative = 0.25
     search_rad: NotNegative = 0.15
 

@@ -1,0 +1,82 @@
+"""Kernels of the motion between two scans: errors of its predictions, and how far evidence stretches a covariance."""
+
+import math
+
+import numpy as np
+
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.linalg import invert3
+from slammot_graph.core.types import FloatArray
+
+
+@kernel
+def relative(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Fill `out` with the pose `b` in the frame of `a`, all (3,)."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    out[0] = c * dx + s * dy
+    out[1] = -s * dx + c * dy
+    turn = b[2] - a[2]
+    out[2] = turn - 2.0 * math.pi * math.floor((turn + math.pi) / (2.0 * math.pi))
+
+
+@kernel
+def prediction_error2(predicted: FloatArray, found: FloatArray, lever_m: float, cap_m: float) -> float:
+    """Squared distance of two increments (3,), a turn counted at a lever [m^2]; no more than that of `cap_m`."""
+    e = np.empty(3)
+    relative(predicted, found, e)
+    error2 = e[0] * e[0] + e[1] * e[1] + (lever_m * e[2]) * (lever_m * e[2])
+    return min(error2, cap_m * cap_m)
+
+
+@kernel
+def normalised_error2(
+    predicted: FloatArray, cov_predicted: FloatArray, found: FloatArray, cov_found: FloatArray
+) -> float:
+    """Mean squared error of a predicted increment (3,) over its variance, axis by axis: 1 if that is right."""
+    e = np.empty(3)
+    relative(predicted, found, e)
+    total = 0.0
+    for i in range(3):
+        total += e[i] * e[i] / (cov_predicted[i, i] + cov_found[i, i])
+    return total / 3.0
+
+
+@kernel
+def heavy_tail_scale(
+    innovation: FloatArray,
+    cov_predicted: FloatArray,
+    cov_match: FloatArray,
+    cov_motion: FloatArray,
+    dof: float,
+) -> float:
+    """Scale of the motion's covariance under Student's t, given how far a match lies from the prediction.
+
+    The motion's error w ~ N(0, s Q) with 1/s ~ Gamma(dof/2, dof/2) (Student's t); its posterior given the innovation
+    (3,) has mean and covariance by a Kalman update, and s is found by expectation-maximisation:
+    ``s = (dof + E[w' inv(Q) w]) / (dof + 3)``. At least 1. (Liu and Rubin, 1995.)
+    """
+    inverse_motion, S, gain, rest = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    if not invert3(cov_motion, inverse_motion):
+        return 1.0
+    scale = 1.0
+    for _ in range(12):
+        for i in range(3):
+            for j in range(3):
+                S[i, j] = cov_predicted[i, j] + cov_match[i, j] + (scale - 1.0) * cov_motion[i, j]
+        if not invert3(S, rest):
+            return scale
+        for i in range(3):
+            for j in range(3):
+                total = 0.0
+                for k in range(3):
+                    total += cov_motion[i, k] * rest[k, j]
+                gain[i, j] = scale * total
+        w = gain @ innovation
+        # E[w' inv(Q) w] = w' inv(Q) w + trace(inv(Q) (sQ - K sQ)) = w' inv(Q) w + s (3 - trace(K))
+        expected = w @ (inverse_motion @ w) + scale * (3.0 - gain[0, 0] - gain[1, 1] - gain[2, 2])
+        new = (dof + expected) / (dof + 3.0)
+        if abs(new - scale) < 0.01 * scale:
+            return max(new, 1.0)
+        scale = new
+    return max(scale, 1.0)

@@ -1,0 +1,247 @@
+"""Odometry that is learnt, not believed: calibrated from the matches, and left aside where it cannot be right.
+
+Two predictions of each motion stand side by side: the odometry, corrected by what `SelfCalibration` found, and the
+previous motion. The one whose predictions were nearer to the matches of late is used; an increment of the odometry that
+no robot can make since the scan before is never used.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.checks import AtLeastOne, Checked, Positive, PositiveShare, Share
+from slammot_graph.core.odometry_report import MotionSource, OdometryReport
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry._motion_kernels import normalised_error2, prediction_error2, relative
+from slammot_graph.odometry.calibration import CalibrationConfig, SelfCalibration
+from slammot_graph.odometry.history import OdometryHistory
+from slammot_graph.odometry.motion import MatchedPose, Motion
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptiveOdometryConfig(Checked):
+    """How odometry is learnt and judged.
+
+    Attributes
+    ----------
+    calibration : CalibrationConfig
+    previous_motion : PreviousMotionConfig
+    max_acceleration_m_s2, max_acceleration_rad_s2 : float
+        No robot changes its velocity faster: an increment of the odometry that asks for more is wrong.
+    error_gain : float
+        Weight of the latest scan in the running mean of the squared errors of both predictions.
+    error_lever_m : float
+        A turn counts as its arc at this distance.
+    error_cap_m : float
+        A single error counts for no more than this.
+    hysteresis : float
+        The other prediction is used once its mean squared error is smaller by this factor.
+    min_excess, max_excess : float
+        The odometry is left only while its squared errors exceed what its noise explains by this factor in the mean,
+        where a single one counts for no more than the second.
+    min_agreement_to_leave, min_agreement_to_stay : float
+        The odometry is left while more of the returns agree with the matches than this in the mean, and comes back when
+        fewer do: where much of what the laser sees moves, the matches are no judge.
+    min_noise_scale, max_noise_scale : float
+        Bounds of the learnt scale of the noise's standard deviation.
+    """
+
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    previous_motion: PreviousMotionConfig = field(default_factory=PreviousMotionConfig)
+    max_acceleration_m_s2: Positive = 10.0
+    max_acceleration_rad_s2: Positive = 30.0
+    error_gain: PositiveShare = 0.1
+    error_lever_m: Positive = 2.0
+    error_cap_m: Positive = 0.5
+    hysteresis: AtLeastOne = 2.0
+    min_excess: Positive = 3.0
+    max_excess: Positive = 30.0
+    min_agreement_to_leave: Share = 0.8
+    min_agreement_to_stay: Share = 0.65
+    min_noise_scale: Positive = 1.0
+    max_noise_scale: Positive = 3.0
+
+
+class AdaptiveOdometry:
+    """A `MotionModel` of odometry that calibrates itself, with the previous motion beside it.
+
+    Attributes
+    ----------
+    config : AdaptiveOdometryConfig
+    calibration : SelfCalibration
+    previous : PreviousMotion
+    source : "odometry" or "previous motion"
+        What is used where both are possible.
+    T_odom_base : (3,) array
+    """
+
+    def __init__(self, noise: OdometryNoise | ConstantNoise, config: AdaptiveOdometryConfig) -> None:
+        self.config = config
+        self.noise = noise
+        self.calibration = SelfCalibration(config.calibration, noise)
+        self.previous = PreviousMotion(config.previous_motion)
+        self.source: MotionSource = "odometry"
+        self.T_odom_base: FloatArray = se2.IDENTITY
+        self._history = OdometryHistory()
+        self._record = _Record()
+        self._T_local_before: FloatArray | None = None
+        self._match_before: tuple[float, MatchedPose] | None = None
+
+    def advance(self, scan: Scan) -> Motion | None:
+        """See `MotionModel`."""
+        history, record = self._history, self._record
+        before_s = history.clock_s
+        is_first = record.n_scans == 0
+        record.n_scans += 1
+        history.append(scan.stamp, scan.T_odom_base)
+        if is_first:
+            return None
+        previous = self.previous.motion(history.step_s)
+        told = self._by_odometry(before_s)
+        record.start_scan(told, previous)
+        is_possible = not history.is_regular or self._is_possible(told.increment, previous.increment)
+        use_odometry = is_possible and self.source == "odometry"
+        record.count(use_odometry=use_odometry, is_possible=is_possible)
+        motion = told if use_odometry else previous
+        self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
+        return motion
+
+    def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
+        """See `MotionModel`."""
+        now_s = self._history.clock_s
+        record = self._record
+        agreement = 0.0 if match is None else match.agreement
+        record.agreement += self.config.error_gain * (agreement - record.agreement)
+        if self.source == "previous motion" and record.agreement < self.config.min_agreement_to_stay:
+            self.source = "odometry"
+        if match is None:
+            self.previous.miss()
+        elif self._T_local_before is not None and self._record.told is not None:
+            self._learn(self._T_local_before, match)
+            if match.is_reliable and self._match_before is not None:
+                self._calibrate(self._match_before, (now_s, match))
+        self._T_local_before = T_local_base
+        self._match_before = (now_s, match) if match is not None and match.is_reliable else None
+
+    def report(self) -> OdometryReport:
+        """What was found out so far."""
+        now, record = self.calibration.now, self._record
+        return OdometryReport(
+            source=self.source,
+            has_odometry=True,
+            clock_offset_s=now.clock_offset_s,
+            distance_scale=now.distance_scale,
+            heading_scale=now.heading_scale,
+            heading_bias_rad_per_m=now.heading_bias_rad_per_m,
+            direction_rad=now.direction_rad,
+            noise_scale_m=now.noise_scale_m,
+            noise_scale_rad=now.noise_scale_rad,
+            n_by_odometry=record.n_by_odometry,
+            n_by_previous_motion=record.n_by_previous,
+            n_contradictions=record.n_impossible,
+        )
+
+    def _by_odometry(self, before_s: float) -> Motion:
+        """The odometry's motion at the corrected times, corrected, with its covariance."""
+        now = self.calibration.now
+        offset_s = now.clock_offset_s.value
+        increment = np.empty(3)
+        relative(
+            self._history.pose_at(before_s + offset_s),
+            self._history.pose_at(self._history.clock_s + offset_s),
+            increment,
+        )
+        increment = now.corrected(increment)
+        cov = self.noise.covariance(increment)
+        config = self.config
+        scale_m = min(max(now.noise_scale_m.value, config.min_noise_scale), config.max_noise_scale)
+        scale_rad = min(max(now.noise_scale_rad.value, config.min_noise_scale), config.max_noise_scale)
+        if scale_m != 1.0 or scale_rad != 1.0:
+            scales = np.array([scale_m, scale_m, scale_rad])
+            cov = cov * np.outer(scales, scales)
+        return Motion(increment=increment, cov=cov)
+
+    def _is_possible(self, told: FloatArray, previous: FloatArray) -> bool:
+        """Tell whether a robot can have made an increment (3,), given the one that it made before."""
+        step_s = self._history.step_s
+        dx, dy, turn = (told - previous).tolist()
+        if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
+            return False
+        return abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05
+
+    def _learn(self, T_before: FloatArray, match: MatchedPose) -> None:
+        """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""
+        found = np.empty(3)
+        relative(T_before, match.T_local_base, found)
+        if match.is_reliable:
+            self._compare(found, match)
+        self.previous.learn(found, np.sqrt(np.diag(match.cov)), self._history.step_s)
+
+    def _compare(self, found: FloatArray, match: MatchedPose) -> None:
+        """Judge both predictions by the increment (3,) that a match found."""
+        record, config = self._record, self.config
+        assert record.told is not None
+        assert record.previous is not None
+        record.error2_odometry += config.error_gain * (
+            prediction_error2(record.told, found, config.error_lever_m, config.error_cap_m)
+            - record.error2_odometry
+        )
+        record.error2_previous += config.error_gain * (
+            prediction_error2(record.previous, found, config.error_lever_m, config.error_cap_m)
+            - record.error2_previous
+        )
+        own, other = record.error2_odometry, record.error2_previous
+        record.excess += config.error_gain * (
+            min(normalised_error2(record.told, record.cov_told, found, match.cov), config.max_excess)
+            - record.excess
+        )
+        if self.source == "odometry":
+            is_agreed = record.agreement > config.min_agreement_to_leave
+            if is_agreed and own > config.hysteresis * other and record.excess > config.min_excess:
+                self.source = "previous motion"
+        elif other > config.hysteresis * own:
+            self.source = "odometry"
+
+    def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
+        """Give two matches in a row to the calibration."""
+        if not self._history.is_regular:
+            return
+        increment = np.empty(3)
+        relative(before[1].T_local_base, after[1].T_local_base, increment)
+        cov = before[1].cov_independent + after[1].cov_independent
+        variances = 0.5 * float(cov[0, 0] + cov[1, 1]), float(cov[2, 2])
+        self.calibration.add(
+            (before[0], after[0]), increment, variances, after[1].T_local_base, self._history
+        )
+
+
+class _Record:
+    """What was predicted for the latest scan, and how well both predictions did so far."""
+
+    def __init__(self) -> None:
+        self.n_scans = 0
+        self.n_by_odometry = 0
+        self.n_by_previous = 0
+        self.n_impossible = 0
+        self.told: FloatArray | None = None
+        self.cov_told: FloatArray = np.zeros((3, 3))
+        self.previous: FloatArray | None = None
+        self.excess = 0.0
+        self.agreement = 0.0
+        self.error2_odometry = 0.0
+        self.error2_previous = 0.0
+
+    def start_scan(self, told: Motion, previous: Motion) -> None:
+        """Take in both predictions of the next motion."""
+        self.told, self.cov_told, self.previous = told.increment, told.cov, previous.increment
+
+    def count(self, *, use_odometry: bool, is_possible: bool) -> None:
+        """Count what was used."""
+        self.n_by_odometry += use_odometry
+        self.n_by_previous += not use_odometry
+        self.n_impossible += not is_possible

@@ -1,0 +1,423 @@
+"""Self-calibration of the odometry from the matches: clock offset, scales, bias, direction and noise.
+
+The increments between matched scans are compared with those that the odometry tells at shifted times. For each clock
+offset of a grid the other parameters are a robust linear fit (iteratively reweighted least squares, Student's t with
+4 degrees of freedom); the offset with the least cost is taken where it explains the data clearly better than none. What
+the drive does not excite keeps its prior, with an infinite standard deviation.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.checks import Checked, Count, Positive
+from slammot_graph.core.odometry_report import Estimated
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.odometry.history import OdometryHistory
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+
+DOF = 4.0
+"""Degrees of freedom of Student's t: slips and wrong matches have heavy tails."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationConfig(Checked):
+    """How the odometry is calibrated while running.
+
+    Attributes
+    ----------
+    n_kept : int
+        The latest so many increments are fitted.
+    n_first : int
+        The first fit is made with so many ...
+    growth : float
+        ... and the next ones when there are this many times as many, or `n_between` more.
+    n_between : int
+    max_offset_s : float
+        Clock offsets are searched up to this.
+    offset_step_s : float
+        Step of the search, refined to a fifth.
+    min_gain : float
+        Natural logarithm of the likelihood ratio against no offset at which an offset is believed.
+    window_m, window_rad : float
+        Increments are joined until they are about this long, so that scales stand out of the noise ...
+    max_window : int
+        ... but no more than so many.
+    scale_std : float
+        Prior standard deviation of both scales about 1, and of the direction [rad].
+    bias_std_rad_per_m : float
+        Prior standard deviation of the heading bias about 0.
+    min_std_m, min_std_rad : float
+        Least standard deviation of an increment's residual in the fit.
+    noise_scale_std : float
+        Prior standard deviation of the natural logarithm of the noise's variance about that of the noise model.
+    """
+
+    n_kept: Count = 800
+    n_first: Count = 40
+    growth: Positive = 1.5
+    n_between: Count = 250
+    max_offset_s: Positive = 0.6
+    offset_step_s: Positive = 0.05
+    min_gain: Positive = 12.0
+    window_m: Positive = 0.4
+    window_rad: Positive = 0.4
+    max_window: Count = 8
+    scale_std: Positive = 0.5
+    bias_std_rad_per_m: Positive = 0.1
+    min_std_m: Positive = 0.003
+    min_std_rad: Positive = 0.002
+    noise_scale_std: Positive = 1.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OdometryCalibration:
+    """What corrects the odometry; see `OdometryReport` for the parameters."""
+
+    clock_offset_s: Estimated = field(default_factory=lambda: Estimated(value=0.0))
+    distance_scale: Estimated = field(default_factory=lambda: Estimated(value=1.0))
+    direction_rad: Estimated = field(default_factory=lambda: Estimated(value=0.0))
+    heading_scale: Estimated = field(default_factory=lambda: Estimated(value=1.0))
+    heading_bias_rad_per_m: Estimated = field(default_factory=lambda: Estimated(value=0.0))
+    noise_scale_m: Estimated = field(default_factory=lambda: Estimated(value=1.0))
+    noise_scale_rad: Estimated = field(default_factory=lambda: Estimated(value=1.0))
+
+    def corrected(self, increments: FloatArray) -> FloatArray:
+        """(..., 3) increments of the base by those (..., 3) that the odometry tells at the corrected times."""
+        scale, direction = self.distance_scale.value, self.direction_rad.value
+        c, s = scale * math.cos(direction), scale * math.sin(direction)
+        if increments.ndim == 1:
+            x, y, turn = increments.tolist()
+            bias = self.heading_bias_rad_per_m.value * math.hypot(x, y)
+            return np.array([c * x - s * y, s * x + c * y, self.heading_scale.value * turn + bias])
+        x, y, turn = increments[..., 0], increments[..., 1], increments[..., 2]
+        bias = self.heading_bias_rad_per_m.value * np.hypot(x, y)
+        return np.stack([c * x - s * y, s * x + c * y, self.heading_scale.value * turn + bias], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A robust linear fit: parameters, their information, residuals and cost."""
+
+    x: FloatArray
+    information: FloatArray
+    residuals: FloatArray
+    cost: float
+
+
+class SelfCalibration:
+    """Gathers matched increments and fits the odometry to them now and then.
+
+    Attributes
+    ----------
+    config : CalibrationConfig
+    noise : OdometryNoise or ConstantNoise
+    now : OdometryCalibration
+        As best known.
+    """
+
+    _N_COLUMNS = 10  # times before and after, increment (3), variances [m^2, rad^2], pose after (3)
+
+    def __init__(self, config: CalibrationConfig, noise: OdometryNoise | ConstantNoise) -> None:
+        self.config = config
+        self.noise = noise
+        self.now = OdometryCalibration()
+        self._rows = np.zeros((2 * config.n_kept, self._N_COLUMNS))
+        self._n = 0
+        self._n_seen = 0
+        self._next_fit = config.n_first
+
+    def add(
+        self,
+        times_s: tuple[float, float],
+        increment: FloatArray,
+        variances: tuple[float, float],
+        T_local_base: FloatArray,
+        history: OdometryHistory,
+    ) -> None:
+        """Take in the increment (3,) between two matched scans, and fit where it is time to.
+
+        Parameters
+        ----------
+        times_s : (before, after)
+            Of the history's clock.
+        increment : (3,) array
+        variances : (m^2, rad^2)
+            Of the increment's translation, per axis, and rotation.
+        T_local_base : (3,) array
+            The later matched pose, local frame.
+        history : OdometryHistory
+        """
+        if self._n == len(self._rows):
+            half = self.config.n_kept
+            self._rows[:half] = self._rows[half:]
+            self._n = half
+        self._rows[self._n] = (*times_s, *increment.tolist(), *variances, *T_local_base.tolist())
+        self._n += 1
+        self._n_seen += 1
+        if self._n_seen >= self._next_fit:
+            self.fit(history)
+            more = min(int((self.config.growth - 1.0) * self._n_seen), self.config.n_between)
+            self._next_fit = self._n_seen + max(more, 20)
+
+    def fit(self, history: OdometryHistory) -> None:
+        """Fit all parameters to the increments kept."""
+        rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
+        offset = self._fit_offset(rows, history)
+        windows = _Windows(rows, offset.value, history, self.config)
+        if windows.n < 10:
+            self.now = OdometryCalibration(clock_offset_s=offset)
+            return
+        heading, distance, direction = self._fit_scales(windows)
+        first = OdometryCalibration(
+            clock_offset_s=offset,
+            distance_scale=distance,
+            direction_rad=direction,
+            heading_scale=heading[0],
+            heading_bias_rad_per_m=heading[1],
+        )
+        noise_m, noise_rad = self._fit_noise(windows, first)
+        self.now = OdometryCalibration(
+            clock_offset_s=offset,
+            distance_scale=distance,
+            direction_rad=direction,
+            heading_scale=heading[0],
+            heading_bias_rad_per_m=heading[1],
+            noise_scale_m=noise_m,
+            noise_scale_rad=noise_rad,
+        )
+
+    def _fit_offset(self, rows: FloatArray, history: OdometryHistory) -> Estimated:
+        """The clock offset by a grid search, refined; 0 with the curvature's standard deviation where none is clear."""
+        config = self.config
+        rows = _smoothed_rows(rows)
+        if len(rows) < 20:
+            return Estimated(value=0.0)
+        step = config.offset_step_s
+        n = round(config.max_offset_s / step)
+        coarse = step * np.arange(-n, n + 1)
+        costs = np.array([self._offset_cost(rows, offset, history) for offset in coarse])
+        best = coarse[int(np.argmin(costs))]
+        fine = best + 0.2 * step * np.arange(-5, 6)
+        fine_costs = np.array([self._offset_cost(rows, offset, history) for offset in fine])
+        k = int(np.clip(np.argmin(fine_costs), 1, len(fine) - 2))
+        curvature = (fine_costs[k - 1] - 2.0 * fine_costs[k] + fine_costs[k + 1]) / (0.2 * step) ** 2
+        std = 1.0 / math.sqrt(curvature) if curvature > 1.0 else math.inf
+        # What is left of the smoothing by interpolation favours both signs alike: an offset must beat its opposite too.
+        opposite = self._offset_cost(rows, -float(fine[k]), history)
+        if min(costs[n], opposite) - fine_costs.min() < config.min_gain:
+            return Estimated(value=0.0, std=std)
+        slope = (fine_costs[k + 1] - fine_costs[k - 1]) / (0.4 * step)
+        value = fine[k] - (slope / curvature if curvature > 1.0 else 0.0)
+        return Estimated(value=float(np.clip(value, fine[k - 1], fine[k + 1])), std=std)
+
+    def _offset_cost(self, rows: FloatArray, offset: float, history: OdometryHistory) -> float:
+        """Negative log likelihood of the increments at a clock offset, the other parameters fitted."""
+        u = _told(rows[:, 0], rows[:, 1], float(offset), history, spread_s=_usual_step(rows))
+        std = self._stds(rows)
+        heading = _robust_fit(
+            np.column_stack([u[:, 2], np.hypot(u[:, 0], u[:, 1])]),
+            rows[:, 4],
+            std[:, 1],
+            self._heading_prior(),
+        )
+        rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
+        z = np.concatenate([rows[:, 2], rows[:, 3]])
+        translation = _robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
+        return heading.cost + translation.cost
+
+    def _stds(self, rows: FloatArray) -> FloatArray:
+        least = self.config.min_std_m**2, self.config.min_std_rad**2
+        return np.sqrt(rows[:, 5:7] + np.array(least))
+
+    def _heading_prior(self) -> tuple[FloatArray, FloatArray]:
+        return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.bias_std_rad_per_m])
+
+    def _scale_prior(self) -> tuple[FloatArray, FloatArray]:
+        return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.scale_std])
+
+    def _fit_scales(self, windows: "_Windows") -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
+        """Heading scale and bias, distance scale, and direction; what is not excited keeps its prior."""
+        u, z, std = windows.told, windows.found, windows.std
+        d = np.hypot(u[:, 0], u[:, 1])
+        is_excited = (np.abs(u[:, 2]) > 0.02) | (d > 0.03)
+        if np.count_nonzero(is_excited) < 8:
+            one, zero = Estimated(value=1.0), Estimated(value=0.0)
+            return (one, zero), one, zero
+        u, z, std, d = u[is_excited], z[is_excited], std[is_excited], d[is_excited]
+        heading = _robust_fit(np.column_stack([u[:, 2], d]), z[:, 2], std[:, 1], self._heading_prior())
+        rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
+        translation = _robust_fit(
+            rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std[:, 0], 2), self._scale_prior()
+        )
+        stds = _stds_of(heading, self._heading_prior()[1])
+        scale = math.hypot(*translation.x)
+        scale_std = _stds_of(translation, self._scale_prior()[1])[0]
+        direction = math.atan2(translation.x[1], translation.x[0])
+        return (
+            (
+                Estimated(value=float(heading.x[0]), std=stds[0]),
+                Estimated(value=float(heading.x[1]), std=stds[1]),
+            ),
+            Estimated(value=scale, std=scale_std),
+            Estimated(value=direction, std=scale_std / max(scale, 0.1)),
+        )
+
+    def _fit_noise(
+        self, windows: "_Windows", calibration: OdometryCalibration
+    ) -> tuple[Estimated, Estimated]:
+        """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own."""
+        increments = calibration.corrected(windows.steps)
+        T = increments[:, 0]
+        for k in range(1, increments.shape[1]):
+            T = se2.compose(T, increments[:, k])
+        errors = se2.log(se2.between(T, windows.found))
+        variances = (
+            self.noise_variances(increments.reshape(-1, 3)).reshape(*increments.shape[:2], 2).sum(axis=1)
+        )
+        own = windows.var
+        m2 = np.concatenate([errors[:, 0] ** 2, errors[:, 1] ** 2])
+        spread = self.config.noise_scale_std
+        return (
+            _noise_scale(m2, np.tile(variances[:, 0], 2), np.tile(own[:, 0], 2), spread),
+            _noise_scale(errors[:, 2] ** 2, variances[:, 1], own[:, 1], spread),
+        )
+
+    def noise_variances(self, increments: FloatArray) -> FloatArray:
+        """(n, 2) variances of the noise model for increments (n, 3): per axis of the translation, and rotation."""
+        covs = [self.noise.covariance(increment) for increment in increments]
+        return np.array([(cov[0, 0], cov[2, 2]) for cov in covs])
+
+
+class _Windows:
+    """Increments joined so that they are long enough for scales to stand out.
+
+    Attributes
+    ----------
+    told, found : (n, 3) arrays
+        By the odometry at the corrected times, and by the matches.
+    steps : (n, k, 3) array
+        The odometry's increments from scan to scan.
+    std, var : (n, 2) arrays
+        Of the matched motion, translation per axis and rotation; `std` with a lower bound.
+    """
+
+    def __init__(
+        self, rows: FloatArray, offset_s: float, history: OdometryHistory, config: CalibrationConfig
+    ) -> None:
+        way = np.hypot(rows[:, 2], rows[:, 3])
+        moving = way[way > 0.3 * way.max(initial=0.0)]
+        usual = float(np.median(moving)) if moving.size else 0.0
+        self.size = size = int(np.clip(round(config.window_m / max(usual, 1e-3)), 1, config.max_window))
+        first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 2, 1))
+        within = first[:, None] + np.arange(size)[None, :]
+        # the scans of a window follow each other without a gap
+        is_whole: BoolArray = np.ones(len(first), dtype=np.bool_)
+        if size > 1 and len(first):
+            is_whole = (np.abs(rows[within[:, 1:], 0] - rows[within[:, :-1], 1]) < 1e-9).all(axis=1)
+        within = within[is_whole]
+        self.n = len(within)
+        self.steps = _told(rows[within, 0], rows[within, 1], offset_s, history)
+        found = rows[within[:, 0], 2:5] if self.n else np.zeros((0, 3))
+        for k in range(1, size):
+            found = se2.compose(found, rows[within[:, k], 2:5])
+        self.found = found
+        self.told = _told(rows[within[:, 0], 0], rows[within[:, -1], 1], offset_s, history)
+        self.var = rows[within[:, -1], 5:7] if self.n else np.zeros((0, 2))
+        self.std = np.sqrt(self.var + np.array([config.min_std_m**2, config.min_std_rad**2]))
+
+
+SMOOTHING = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])
+"""Poses are means over these parts of the usual step, so that interpolation between samples smooths no offset more."""
+
+
+def _usual_step(rows: FloatArray) -> float:
+    return float(np.median(rows[:, 1] - rows[:, 0]))
+
+
+def _smoothed_rows(rows: FloatArray) -> FloatArray:
+    """Rows whose increments are those between smoothed matched poses; those with neighbours on both sides only."""
+    times, poses = rows[:, 1], rows[:, 7:10].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    offsets = SMOOTHING * _usual_step(rows)
+
+    def smoothed(at_s: FloatArray) -> FloatArray:
+        around = at_s[:, None] + offsets
+        return np.stack([np.interp(around, times, poses[:, k]).mean(axis=1) for k in range(3)], axis=-1)
+
+    is_gap = np.ones(len(rows) + 1, dtype=np.bool_)
+    is_gap[1:-1] = rows[1:, 0] - rows[:-1, 1] > 1e-9
+    out = rows.copy()
+    out[:, 2:5] = _relative(smoothed(rows[:, 0]), smoothed(rows[:, 1]))
+    is_inner = ~(is_gap[:-1] | is_gap[1:])
+    is_inner[1:] &= ~is_gap[:-2]  # the pose before reaches back one step more
+    return np.asarray(out[is_inner])
+
+
+def _relative(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(n, 3) poses `b` in the frames of `a`, angles as they are."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
+    return np.stack([c * dx + s * dy, -s * dx + c * dy, b[:, 2] - a[:, 2]], axis=-1)
+
+
+def _told(
+    before_s: FloatArray,
+    after_s: FloatArray,
+    offset_s: float,
+    history: OdometryHistory,
+    spread_s: float = 0.0,
+) -> FloatArray:
+    """(..., 3) increments that the odometry tells between times (...), both shifted; poses smoothed over a spread."""
+
+    def poses(at_s: FloatArray) -> FloatArray:
+        if not spread_s:
+            return history.at(at_s)
+        around = (at_s[:, None] + SMOOTHING * spread_s).ravel()
+        return np.asarray(history.at(around).reshape(len(at_s), -1, 3).mean(axis=1))
+
+    increments = _relative(poses(before_s.ravel() + offset_s), poses(after_s.ravel() + offset_s))
+    return increments.reshape(*before_s.shape, 3)
+
+
+def _robust_fit(A: FloatArray, y: FloatArray, std: FloatArray, prior: tuple[FloatArray, FloatArray]) -> _Fit:
+    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x."""
+    mean, prior_std = prior
+    prior_information = np.diag(prior_std**-2.0)
+    x, information = mean, prior_information
+    residuals = y - A @ x
+    for _ in range(4):
+        scaled2 = np.square(residuals / std)
+        weights = (DOF + 1.0) / (DOF + scaled2) / np.square(std)
+        weighted = A * weights[:, None]
+        information = weighted.T @ A + prior_information
+        x = np.linalg.solve(information, weighted.T @ y + prior_information @ mean)
+        residuals = y - A @ x
+    cost = 0.5 * (DOF + 1.0) * float(np.log1p(np.square(residuals / std) / DOF).sum())
+    return _Fit(x, information, residuals, cost)
+
+
+def _stds_of(fit: _Fit, prior_std: FloatArray) -> list[float]:
+    """Standard deviations of the parameters; infinite where the data say no more than the prior."""
+    cov = np.linalg.inv(fit.information)
+    stds = np.sqrt(np.diag(cov))
+    return [float(std) if std < 0.5 * prior else math.inf for std, prior in zip(stds, prior_std, strict=True)]
+
+
+def _noise_scale(errors2: FloatArray, model: FloatArray, own: FloatArray, spread: float) -> Estimated:
+    """Scale of a standard deviation so that errors have variance ``scale^2 model + own``, under Student's t."""
+    logs = np.linspace(math.log(1e-5), math.log(100.0), 36)
+    costs = np.empty(len(logs))
+    for k, log_scale in enumerate(logs):
+        var = math.exp(log_scale) * model + own
+        costs[k] = 0.5 * (np.log(var) + (DOF + 1.0) * np.log1p(errors2 / var / DOF)).sum()
+    costs += 0.5 * (logs / spread) ** 2
+    k = int(np.argmin(costs))
+    step = logs[1] - logs[0]
+    inner = int(np.clip(k, 1, len(logs) - 2))
+    curvature = (costs[inner - 1] - 2.0 * costs[inner] + costs[inner + 1]) / step**2
+    value = math.exp(0.5 * logs[k])
+    std = 0.5 * value / math.sqrt(curvature) if curvature > 1e-6 else math.inf
+    return Estimated(value=value, std=std)

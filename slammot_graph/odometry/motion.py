@@ -1,0 +1,46 @@
+"""What a motion model gives and what it is told."""
+
+from dataclasses import dataclass
+
+from slammot_graph.core.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Motion of the base between two scans.
+
+    Attributes
+    ----------
+    increment : (3,) array
+        The base in its own frame at the scan before [m, m, rad].
+    cov : (3, 3) array
+        Its covariance, right perturbation (body frame).
+    """
+
+    increment: FloatArray
+    cov: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MatchedPose:
+    """Where a match alone, free of the prediction, found the base.
+
+    Attributes
+    ----------
+    T_local_base : (3,) array
+        Local frame.
+    cov : (3, 3) array
+        Its covariance relative to the local map (body frame).
+    cov_independent : (3, 3) array
+        Without what the matches of neighbouring scans share.
+    agreement : float
+        Share of the scan's returns that agree with it.
+    is_reliable : bool
+        All directions are determined and most points agree: fit to calibrate with.
+    """
+
+    T_local_base: FloatArray
+    cov: FloatArray
+    cov_independent: FloatArray
+    agreement: float
+    is_reliable: bool

@@ -1,0 +1,74 @@
+"""The previous motion as a prediction: the robot goes on as it went from the scan before last to the last."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core.checks import Checked, Positive, PositiveShare
+from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.motion import Motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreviousMotionConfig(Checked):
+    """How far velocities are believed to change from one scan to the next; learnt while running.
+
+    Attributes
+    ----------
+    first_std_m_per_s, first_std_rad_per_s : float
+        Change of the velocity from scan to scan, as long as nothing is learnt.
+    least_std_m_per_s, least_std_rad_per_s : float
+        Lower bounds of what is learnt.
+    gain : float
+        Weight of the latest change among those before.
+    """
+
+    first_std_m_per_s: Positive = 0.5
+    first_std_rad_per_s: Positive = 1.0
+    least_std_m_per_s: Positive = 0.03
+    least_std_rad_per_s: Positive = 0.03
+    gain: PositiveShare = 0.03
+
+
+class PreviousMotion:
+    """Predicts an increment from the velocity between the last two scans, and learns how far that is wrong.
+
+    Attributes
+    ----------
+    config : PreviousMotionConfig
+    velocity : (3,) array
+        Of the base between the last two scans [m/s, m/s, rad/s].
+    std : (3,) array
+        Of its change from scan to scan.
+    """
+
+    def __init__(self, config: PreviousMotionConfig) -> None:
+        self.config = config
+        self.velocity: FloatArray = np.zeros(3)
+        self.std: FloatArray = np.array(
+            [config.first_std_m_per_s, config.first_std_m_per_s, config.first_std_rad_per_s]
+        )
+        self._least = np.array(
+            [config.least_std_m_per_s, config.least_std_m_per_s, config.least_std_rad_per_s]
+        )
+        self._n_missed = 0
+
+    def motion(self, step_s: float) -> Motion:
+        """Predict the motion over the next `step_s`; after scans that were not matched it is known less well."""
+        std = (1 + self._n_missed) * step_s * self.std
+        return Motion(increment=step_s * self.velocity, cov=np.diag(std * std))
+
+    def learn(self, increment: FloatArray, std: FloatArray, step_s: float) -> None:
+        """Take in an increment (3,) that a match found, and its standard deviations (3,)."""
+        velocity = increment / step_s
+        change2 = np.square(velocity - self.velocity) - np.square(std / step_s)
+        if not self._n_missed:
+            var = np.square(self.std)
+            var += self.config.gain * (np.minimum(change2, 25.0 * var) - var)
+            self.std = np.sqrt(np.maximum(var, np.square(self._least)))
+        self.velocity = velocity
+        self._n_missed = 0
+
+    def miss(self) -> None:
+        """Go on from a scan that was not matched."""
+        self._n_missed = min(self._n_missed + 1, 20)
