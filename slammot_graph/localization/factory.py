@@ -6,16 +6,17 @@ from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.localization.scan_to_map import ScanToMap
 from slammot_graph.localization.scan_to_scan import ScanToScan
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.previous_motion import OdometryOrPreviousMotion
 from slammot_graph.odometry.propagation import WheelOdometry
 
 LocalizerConfig = DeadReckoningConfig | ScanToScanConfig | ScanToMapConfig
 
 
 def make_localizer(config: LocalizerConfig, noise: OdometryNoise | ConstantNoise) -> Localizer:
-    """Build a localizer; `noise` is R_r of its odometry."""
-    model = WheelOdometry(noise)
+    """Build a localizer; `noise` is R_r of its odometry, in place of which those that match take the motion before."""
     if isinstance(config, DeadReckoningConfig):
-        return DeadReckoning(model)
+        return DeadReckoning(WheelOdometry(noise))
+    model = OdometryOrPreviousMotion(noise)
     if isinstance(config, ScanToScanConfig):
         return ScanToScan(model, config.point_to_point)
     return ScanToMap(model, config)

@@ -5,6 +5,7 @@ Imports `core` only.
 """
 
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.previous_motion import OdometryOrPreviousMotion, PreviousMotion
 from slammot_graph.odometry.propagation import Motion, MotionModel, MotionState, Propagation, WheelOdometry
 
 __all__ = [
@@ -13,6 +14,8 @@ __all__ = [
     "MotionModel",
     "MotionState",
     "OdometryNoise",
+    "OdometryOrPreviousMotion",
+    "PreviousMotion",
     "Propagation",
     "WheelOdometry",
 ]

@@ -9,6 +9,7 @@ import numpy as np
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs import SkippedScan, write_npz_log
+from slammot_graph.logs.scan_odometry import rising_track
 
 
 class SimulatedLog:
@@ -21,7 +22,8 @@ class SimulatedLog:
     laser : LaserModel
     stamps : (n,) array [s]
     ranges : (n, beams) array [m]
-    T_odom_base : (n, 3) array
+    T_odom_base : (n, 3) array or None
+        Rows of NaN for scans without odometry.
     T_world_base : (n, 3) array
         Truth; of an injected log, the reference trajectory.
     is_moving : (n, beams) bool array
@@ -39,7 +41,7 @@ class SimulatedLog:
         laser: LaserModel,
         stamps: FloatArray,
         ranges: FloatArray,
-        T_odom_base: FloatArray,
+        T_odom_base: FloatArray | None,
         T_world_base: FloatArray,
         is_moving: BoolArray,
         object_id: IntArray,
@@ -59,18 +61,22 @@ class SimulatedLog:
         self.warnings: list[str] = []
 
     def __iter__(self) -> Iterator[Scan]:
+        T_odom_base = self.T_odom_base
+        track = None if T_odom_base is None else rising_track(self.stamps, T_odom_base, self.stamps)
         for k in range(self.n_scans):
+            has_odometry = T_odom_base is not None and bool(np.isfinite(T_odom_base[k]).all())
             yield Scan(
                 index=k,
                 stamp=float(self.stamps[k]),
                 ranges=self.ranges[k],
                 laser=self.laser,
-                T_odom_base=self.T_odom_base[k],
+                T_odom_base=T_odom_base[k] if T_odom_base is not None and has_odometry else None,
                 truth=ScanTruth(
                     T_world_base=self.T_world_base[k],
                     is_moving=self.is_moving[k],
                     object_id=self.object_id[k],
                 ),
+                odometry=track,
             )
 
     def arrays(self) -> dict[str, Any]:

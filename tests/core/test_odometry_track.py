@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import interp1d
 
 from slammot_graph.core.types import FloatArray
-from slammot_graph.logs.odometry import MAX_GAP_S, MAX_HOLD_S, OdometryTrack
+from slammot_graph.core.odometry_track import MAX_GAP_S, MAX_HOLD_S, OdometryTrack
 
 
 def track(stamps: npt.ArrayLike, poses: npt.ArrayLike) -> OdometryTrack:
