@@ -126,7 +126,9 @@ def run_command(
         odometry=odometry == "on",
     )
     if method == "odometry" and source_of(opened).get("odometry") is not None:
-        raise InputError(f"{log}: no odometry, and the method odometry has nothing else; take another, as graph")
+        raise InputError(
+            f"{log}: no odometry, and the method odometry has nothing else; take another, as graph"
+        )
 
     from slammot_graph.run import Run
 
@@ -301,7 +303,8 @@ def _run_table(outcome: _Outcome) -> Table:
 
 def _source_rows(source: "SourceInfo") -> dict[str, str]:
     """Rows of the table that say what of the log was used."""
-    rows = {key.replace("_", " "): str(source[key]) for key in SHOWN if key in source}
+    told = dict(source)
+    rows = {key.replace("_", " "): str(told[key]) for key in SHOWN if key in told}
     if "laser_pose" in source:
         pose = " ".join(f"{value:.6g}" for value in source["laser_pose"])
         rows["laser pose"] = f"{pose} (x y yaw [m, m, rad]; {source['laser_pose_from']})"

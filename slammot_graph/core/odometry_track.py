@@ -63,15 +63,16 @@ class OdometryTrack:
                 return _wrapped(self.T_odom_base[nearest])
         return None
 
-
     def at_many(self, stamps: FloatArray) -> FloatArray:
         """(n, 3) base in odom at times (n,) [s], each as `at` gives it; a row of NaN where that gives None."""
         after = np.searchsorted(self.stamps, stamps)
         low, high = (after - 1).clip(0), after.clip(max=len(self.stamps) - 1)
         gap_s = self.stamps[high] - self.stamps[low]
         is_between = (gap_s > 0.0) & (gap_s <= MAX_GAP_S)
-        share = np.where(is_between, (stamps - self.stamps[low]) / np.where(is_between, gap_s, 1.0), 0.0)[:, None]
-        poses = (1.0 - share) * self.T_odom_base[low] + share * self.T_odom_base[high]
+        share = np.where(is_between, (stamps - self.stamps[low]) / np.where(is_between, gap_s, 1.0), 0.0)[
+            :, None
+        ]
+        poses: FloatArray = (1.0 - share) * self.T_odom_base[low] + share * self.T_odom_base[high]
         to_low, to_high = np.abs(self.stamps[low] - stamps), np.abs(self.stamps[high] - stamps)
         held = np.where((to_low <= to_high)[:, None], self.T_odom_base[low], self.T_odom_base[high])
         poses = np.where(is_between[:, None], poses, held)

@@ -5,8 +5,8 @@ from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConf
 from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.localization.scan_to_map import ScanToMap
 from slammot_graph.localization.scan_to_scan import ScanToScan
+from slammot_graph.odometry.fallback import OdometryOrPreviousMotion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
-from slammot_graph.odometry.previous_motion import OdometryOrPreviousMotion
 from slammot_graph.odometry.propagation import WheelOdometry
 
 LocalizerConfig = DeadReckoningConfig | ScanToScanConfig | ScanToMapConfig

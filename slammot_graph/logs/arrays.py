@@ -163,7 +163,9 @@ def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             return {
-                key: _member(path, file, key) for key in (*REQUIRED, *OPTIONAL, *TRUTH, ESTIMATES) if key in file.files
+                key: _member(path, file, key)
+                for key in (*REQUIRED, *OPTIONAL, *TRUTH, ESTIMATES)
+                if key in file.files
             }
     except InputError:
         raise

@@ -161,9 +161,7 @@ def base_frames(samples: Sequence[OdometrySample], given: str | None = None) -> 
     return [named, *(x for x in usual if x != named)] if named else usual
 
 
-def sample_arrays(
-    samples: Sequence[OdometrySample], *, uses_headers: bool
-) -> tuple[FloatArray, FloatArray]:
+def sample_arrays(samples: Sequence[OdometrySample], *, uses_headers: bool) -> tuple[FloatArray, FloatArray]:
     """Stamps (m,) by headers or recording times [s], and poses (m, 3) of base in odom."""
     stamps = np.array([x.header_stamp if uses_headers else x.bag_stamp for x in samples], dtype=np.float64)
     return stamps, np.array([x.T_odom_base for x in samples], dtype=np.float64).reshape(-1, 3)

@@ -90,7 +90,11 @@ def find_lasers(
         what = "each scan is used by its own frame's place on the robot"
     else:
         kept = ", ".join(frame or "(unnamed)" for frame in used)
-        why = "the laser pose is given for one" if laser_pose is not None else "tf does not tell where the others sit"
+        why = (
+            "the laser pose is given for one"
+            if laser_pose is not None
+            else "tf does not tell where the others sit"
+        )
         what = f"only scans of {kept} are used, as {why}"
     told = f"{number} frames (lasers) on one topic {topic.name} (scans: {counts}); {what}"
     return LaserFrames(mountings=used, warnings=(told, *(w for x in used.values() for w in x.warnings)))

@@ -66,9 +66,7 @@ def choose_odometry_topic(
     return None, f"no odometry among its topics ({_listed(topics)}){hint}"
 
 
-def choose_imu_topic(
-    path: Path, topics: Sequence[Topic], requested: str | None
-) -> tuple[Topic | None, str]:
+def choose_imu_topic(path: Path, topics: Sequence[Topic], requested: str | None) -> tuple[Topic | None, str]:
     """The topic of the IMU, if there is one; None and a warning where there are several.
 
     Raises

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.logs.arrays import ArrayLog
+from slammot_graph.logs.bag_odometry import FrameNames
 from slammot_graph.logs.carmen import CarmenLog
 from slammot_graph.logs.mounting import check_laser_pose
-from slammot_graph.logs.bag_odometry import FrameNames
 from slammot_graph.logs.rosbag import BagChoices, RosbagLog
 from slammot_graph.logs.source import LaserLog
 from slammot_graph.logs.text_lines import read_start
@@ -15,6 +15,8 @@ KNOWN_FORMATS = "CARMEN (.log .clf, also .gz .bz2), ROS 1 .bag, ROS 2 bag folder
 
 BAG_MAGIC = {b"#ROSBAG": ".bag", b"\x89MCAP0": ".mcap", b"SQLite format 3\x00": ".db3"}
 """First bytes of a bag file and the name's ending that belongs to them."""
+
+OLD_BAG_MAGIC = (b"#ROSRECORD V", b"#ROSLOG V", b"#ROSBAG V1")
 
 NPZ_MAGIC = b"PK\x03\x04"
 
@@ -75,9 +77,7 @@ def open_log(
             f"{path}: not a bag, so it has no topics; leave out --scan-topic, --odom-topic and --imu-topic"
         )
     if odom_frame is not None or base_frame is not None:
-        raise InputError(
-            f"{path}: not a bag, so it has no frames; leave out --odom-frame and --base-frame"
-        )
+        raise InputError(f"{path}: not a bag, so it has no frames; leave out --odom-frame and --base-frame")
     start = read_start(path)
     if start.startswith(NPZ_MAGIC):
         return ArrayLog(path, laser_pose=laser_pose, odometry=odometry)
@@ -96,6 +96,11 @@ def _holds_a_bag(path: Path) -> bool:
     start = read_start(path)
     if not start:
         raise InputError(f"{path}: the file is empty; copy or record it again")
+    if start.startswith(OLD_BAG_MAGIC):
+        version = start.split(b"\n")[0].rpartition(b"V")[2].decode("ascii", "replace")
+        raise InputError(
+            f"{path}: a bag of version {version}, which is not read; convert it with `rosbag fix`"
+        )
     for magic, suffix in BAG_MAGIC.items():
         if start.startswith(magic):
             if path.suffix != suffix:

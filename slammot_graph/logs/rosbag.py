@@ -1,7 +1,7 @@
 """ROS 1 and ROS 2 bags: LaserScan, with odometry from a topic or from tf and an IMU where there are any."""
 
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ class BagChoices:
     scan_topic: str | None = None
     odom_topic: str | None = None
     imu_topic: str | None = None
-    frames: FrameNames = FrameNames()
+    frames: FrameNames = field(default_factory=FrameNames)
     laser_pose: tuple[float, float, float] | None = None
     odometry: bool = True
 
@@ -100,7 +100,11 @@ class RosbagLog(RecordedLog):
                 self._yaw = read_yaw(bag, imu_topic, bases, uses_headers=uses_headers)
         self._mountings = lasers.mountings
         source: SourceInfo = {"scan_topic": self._scan_topic.name}
-        given = {"odom_topic": found.topic, "odom_frame": choices.frames.odom, "base_frame": choices.frames.base}
+        given = {
+            "odom_topic": found.topic,
+            "odom_frame": choices.frames.odom,
+            "base_frame": choices.frames.base,
+        }
         source.update(SourceInfo(**{key: name for key, name in given.items() if name}))  # type: ignore[typeddict-item]
         if imu_topic is not None:
             source["imu_topic"] = imu_topic.name
@@ -164,7 +168,15 @@ def _laser(
 ) -> LaserModel:
     """The laser that took a scan; if it is mounted upside down, the order of the angles is reversed."""
     n_beams = len(scan.ranges)
-    key = (frame, scan.angle_min, scan.angle_max, scan.angle_increment, n_beams, scan.range_min, scan.range_max)
+    key = (
+        frame,
+        scan.angle_min,
+        scan.angle_max,
+        scan.angle_increment,
+        n_beams,
+        scan.range_min,
+        scan.range_max,
+    )
     if key not in lasers:
         span, step = scan.angle_max - scan.angle_min, scan.angle_increment
         if not abs(n_beams * step - span) <= MAX_BEAM_COUNT_ERROR * abs(step):

@@ -57,7 +57,9 @@ def mended(stamps: FloatArray) -> ScanStamps:
     warnings = []
     if unwrapped.n_wraps:
         times = "once" if unwrapped.n_wraps == 1 else f"{unwrapped.n_wraps} times"
-        warnings.append(f"stamps wrap around {times} at 2^32 {unwrapped.unit} (a 32-bit counter); they are unwrapped")
+        warnings.append(
+            f"stamps wrap around {times} at 2^32 {unwrapped.unit} (a 32-bit counter); they are unwrapped"
+        )
     known = unwrapped.stamps[np.isfinite(unwrapped.stamps)]
     if len(stamps) < 2 or len(known) == 1:
         return ScanStamps(stamps=unwrapped.stamps, warnings=tuple(warnings))
@@ -93,7 +95,9 @@ def unwrap(stamps: FloatArray) -> Unwrapped:
             continue
         is_low, is_high = np.abs(known) <= near_s, np.abs(known - period_s) <= near_s
         is_down = is_high[:-1] & is_low[1:]
-        is_up = is_low[:-1] & is_high[1:] & (unit == "s")  # a counter below zero; of others it might be a pause
+        is_up = (
+            is_low[:-1] & is_high[1:] & (unit == "s")
+        )  # a counter below zero; of others it might be a pause
         n_wraps = int(np.count_nonzero(is_down | is_up))
         if n_wraps:
             turns = np.cumsum(is_down.astype(np.int64) - is_up.astype(np.int64))

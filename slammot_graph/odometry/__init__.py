@@ -5,7 +5,6 @@ Imports `core` only.
 """
 
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
-from slammot_graph.odometry.previous_motion import OdometryOrPreviousMotion, PreviousMotion
 from slammot_graph.odometry.propagation import Motion, MotionModel, MotionState, Propagation, WheelOdometry
 
 __all__ = [
@@ -14,8 +13,6 @@ __all__ = [
     "MotionModel",
     "MotionState",
     "OdometryNoise",
-    "OdometryOrPreviousMotion",
-    "PreviousMotion",
     "Propagation",
     "WheelOdometry",
 ]

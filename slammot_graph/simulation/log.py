@@ -22,7 +22,7 @@ class SimulatedLog:
     laser : LaserModel
     stamps : (n,) array [s]
     ranges : (n, beams) array [m]
-    T_odom_base : (n, 3) array or None
+    T_odom_base : (n, 3) array
         Rows of NaN for scans without odometry.
     T_world_base : (n, 3) array
         Truth; of an injected log, the reference trajectory.
@@ -41,7 +41,7 @@ class SimulatedLog:
         laser: LaserModel,
         stamps: FloatArray,
         ranges: FloatArray,
-        T_odom_base: FloatArray | None,
+        T_odom_base: FloatArray,
         T_world_base: FloatArray,
         is_moving: BoolArray,
         object_id: IntArray,
@@ -61,16 +61,15 @@ class SimulatedLog:
         self.warnings: list[str] = []
 
     def __iter__(self) -> Iterator[Scan]:
-        T_odom_base = self.T_odom_base
-        track = None if T_odom_base is None else rising_track(self.stamps, T_odom_base, self.stamps)
+        track = rising_track(self.stamps, self.T_odom_base, self.stamps)
+        has_odometry = np.isfinite(self.T_odom_base).all(axis=1)
         for k in range(self.n_scans):
-            has_odometry = T_odom_base is not None and bool(np.isfinite(T_odom_base[k]).all())
             yield Scan(
                 index=k,
                 stamp=float(self.stamps[k]),
                 ranges=self.ranges[k],
                 laser=self.laser,
-                T_odom_base=T_odom_base[k] if T_odom_base is not None and has_odometry else None,
+                T_odom_base=self.T_odom_base[k] if has_odometry[k] else None,
                 truth=ScanTruth(
                     T_world_base=self.T_world_base[k],
                     is_moving=self.is_moving[k],
@@ -88,7 +87,7 @@ class SimulatedLog:
             "angle_increment": self.laser.angle_increment,
             "range_min": self.laser.range_min,
             "range_max": self.laser.range_max,
-            "odometry": self.T_odom_base,
+            "odometry": self.T_odom_base if np.isfinite(self.T_odom_base).any() else None,
             "laser_pose": np.array(self.laser.T_base_laser),
             "poses": self.T_world_base,
             "is_moving": self.is_moving,

@@ -23,6 +23,10 @@ IMU_STD_RAD = 0.005
 MIN_STEP_S = 0.03
 """The velocity is taken over at least this time, as from scans closer together it would be mostly noise."""
 
+USUAL_GAIN = 0.05
+USUAL_RATIO = 2.5
+"""Steps of the stamps further from the usual one by this factor tell nothing of time: then it is the usual one."""
+
 MAX_STEP_S = 1.0
 """The motion is not carried on over a longer time."""
 
@@ -40,7 +44,9 @@ class PreviousMotion:
         self._velocity: FloatArray = np.zeros(3)
         self._scan: Scan | None = None
         self._step_s = 0.0
-        self._found: tuple[float, FloatArray] | None = None
+        self._usual_s = 0.0
+        self._since_s = 0.0
+        self._T_found: FloatArray | None = None
         self._n_found = 0
 
     def advance(self, scan: Scan) -> Motion | None:
@@ -49,7 +55,7 @@ class PreviousMotion:
         if before is None:
             return None
         step_s = scan.stamp - before.stamp
-        self._step_s = step_s if 0.0 < step_s <= MAX_STEP_S else self._step_s
+        self._step_s = self._told_step(step_s)
         increment = self._velocity * self._step_s
         std_m = STILL_STD_M + 0.5 * ACCELERATION_STD * self._step_s**2
         std_rad = STILL_STD_RAD + 0.5 * TURN_ACCELERATION_STD * self._step_s**2
@@ -64,19 +70,19 @@ class PreviousMotion:
 
     def correct(self, T_local_base: FloatArray) -> None:
         """See `MotionModel`."""
-        if self._scan is None:
+        self._since_s += self._step_s
+        if self._T_found is not None and self._since_s < MIN_STEP_S:
             return
-        stamp = self._scan.stamp
-        if self._found is None:
-            self._found, self._n_found = (stamp, T_local_base), 1
-            return
-        since_s = stamp - self._found[0]
-        if 0.0 <= since_s < MIN_STEP_S:
-            return
-        duration_s = since_s if 0.0 < since_s <= MAX_STEP_S else self._step_s
-        if duration_s > 0.0:
-            self._velocity = se2.between(self._found[1], T_local_base) / duration_s
-        self._found, self._n_found = (stamp, T_local_base), self._n_found + 1
+        if self._T_found is not None:
+            self._velocity = se2.between(self._T_found, T_local_base) / self._since_s
+        self._T_found, self._since_s, self._n_found = T_local_base, 0.0, self._n_found + 1
+
+    def _told_step(self, step_s: float) -> float:
+        """Time between two scans [s]: that of the stamps where it can be believed."""
+        if 0.0 < step_s <= MAX_STEP_S:
+            self._usual_s += (1.0 if self._usual_s == 0.0 else USUAL_GAIN) * (step_s - self._usual_s)
+        is_usual = self._usual_s / USUAL_RATIO <= step_s <= self._usual_s * USUAL_RATIO
+        return step_s if is_usual else self._usual_s
 
 
 class OdometryOrPreviousMotion:
