@@ -16,8 +16,18 @@ from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from tests.rooms import odometry_of
-from tests.rooms import LASER, ROOM, ListLog, carried, cast, covered, drive, errors, truth_from_start
+from tests.rooms import (
+    LASER,
+    ROOM,
+    ListLog,
+    carried,
+    cast,
+    covered,
+    drive,
+    errors,
+    odometry_of,
+    truth_from_start,
+)
 
 GRAPH = PipelineConfig()
 DOCPFO = METHODS["docpfo"].config

@@ -18,8 +18,7 @@ from slammot_graph.mapping.occupancy_grid import NoReturnConfig
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import simulate
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
-from tests.rooms import odometry_of
-from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
+from tests.rooms import LASER, box, drive, errors, odometry_of, take_scan, truth_from_start
 
 # a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
 YARD = np.vstack([[[-6, 4, 0, 4], [-6, -4, -6, 4], [-6, -4, 6, -4], [6, -4, 6, 0]], box(-4, -3, -3, -2)])

@@ -75,7 +75,7 @@ class CarmenSurvey:
         with np.errstate(over="ignore", invalid="ignore"):
             apart = np.abs(se2.between(track.at_many(scan_stamps[is_known]), self.T_odom_base[is_known]))
         apart = apart[np.isfinite(apart).all(axis=1)]
-        if len(apart) < MIN_ODOMETRY_COVER * max(1, np.count_nonzero(is_known)):
+        if len(apart) < MIN_ODOMETRY_COVER * max(1, int(np.count_nonzero(is_known))):
             return None
         x, y, turn = np.median(apart, axis=0)
         if math.hypot(x, y) > MAX_ODOMETRY_DISTANCE_M or turn > MAX_ODOMETRY_TURN_RAD:

@@ -143,13 +143,14 @@ def rising_track(
 def are_sane_poses(poses: FloatArray) -> BoolArray:
     """(n,) mask of the poses (n, 3) that are finite and not out of any sense."""
     with np.errstate(invalid="ignore", over="ignore"):
-        is_sane = (np.abs(poses[:, :2]).max(axis=1, initial=0.0) <= MAX_EARTH_M) & (
+        is_sane: BoolArray = (np.abs(poses[:, :2]).max(axis=1, initial=0.0) <= MAX_EARTH_M) & (
             np.abs(poses[:, 2]) <= MAX_TURN_RAD
         )
         if not is_sane.any():
             return is_sane
         centre = np.median(poses[is_sane, :2], axis=0)
-        return is_sane & (np.abs(poses[:, :2] - centre).max(axis=1) <= MAX_COORDINATE_M)
+        is_near: BoolArray = np.abs(poses[:, :2] - centre).max(axis=1) <= MAX_COORDINATE_M
+        return is_sane & is_near
 
 
 def _rise(stamps: FloatArray) -> bool:

@@ -62,7 +62,7 @@ class SimulatedLog:
 
     def __iter__(self) -> Iterator[Scan]:
         track = rising_track(self.stamps, self.T_odom_base, self.stamps)
-        has_odometry = np.isfinite(self.T_odom_base).all(axis=1)
+        has_odometry = np.atleast_1d(np.isfinite(self.T_odom_base).all(axis=1))
         for k in range(self.n_scans):
             yield Scan(
                 index=k,

@@ -8,8 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.results import StepResult
 from slammot_graph.odometry.noise import OdometryNoise
-from tests.rooms import odometry_of
-from tests.rooms import LASER, ListLog, drive, errors, occluded, truth_from_start
+from tests.rooms import LASER, ListLog, drive, errors, occluded, odometry_of, truth_from_start
 
 
 def run(log: ListLog, config: KissIcpConfig) -> tuple[KissIcpPipeline, list[StepResult]]:

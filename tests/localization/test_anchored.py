@@ -12,8 +12,7 @@ from slammot_graph.core.results import StepResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from tests.rooms import odometry_of
-from tests.rooms import ROOM, ListLog, box, drive, occluded, truth_from_start
+from tests.rooms import ROOM, ListLog, box, drive, occluded, odometry_of, truth_from_start
 
 N_SCANS = 70
 EMPTY_ROOM = ROOM[:4]

@@ -12,8 +12,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.odometry import Motion, OdometryNoise, WheelOdometry
-from tests.rooms import odometry_of
-from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, truth_from_start
+from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, odometry_of, truth_from_start
 
 N_LOST = 3
 

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ TIMES = [T0 + 0.1 * i for i in range(13)]
 ALONE = "the laser alone tells of the motion"
 
 
-def scans(**changes: object) -> list[bf.Sent]:
+def scans(**changes: Any) -> list[bf.Sent]:
     return [bf.scan(t, (1.0 + i, 2.0, 3.0), **changes) for i, t in enumerate(STAMPS)]
 
 
@@ -74,7 +75,7 @@ def test_the_whole_odometry_is_there_from_the_first_scan(tmp_path: Path) -> None
     track = found[0].odometry
     assert track is not None
     assert all(scan.odometry is track for scan in found)
-    np.testing.assert_allclose(track.at(T0 + 1.15), [1.15, 0.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(track.at_many(np.array([T0 + 1.15])), [[1.15, 0.0, 0.0]], atol=1e-5)
 
 
 def test_odometry_that_stops(tmp_path: Path) -> None:
@@ -105,7 +106,7 @@ def test_frames_of_other_names_have_to_be_given(tmp_path: Path) -> None:
         log = open_log(path, **frames)  # type: ignore[arg-type]
         assert odometry_of(next(iter(log)))[0] == pytest.approx(0.125)
         assert next(iter(log)).laser.T_base_laser == pytest.approx((0.5, -0.25, 0.75))
-    with pytest.raises(InputError, match="no base_link or .* in whels in tf.*--odom-frame"):
+    with pytest.raises(InputError, match=r"no base_link or .* in whels in tf.*--odom-frame"):
         open_log(path, odom_frame="whels")
 
 
