@@ -92,7 +92,9 @@ class JumpedLog:
             if scan.index < self._at:
                 yield scan
             else:
-                yield replace(scan, T_odom_base=se2.compose(self._T_odom_jump, scan.T_odom_base))
+                assert scan.T_odom_base is not None
+                jumped = se2.compose(self._T_odom_jump, scan.T_odom_base)
+                yield replace(scan, T_odom_base=jumped, odometry=None)
         self.skipped, self.warnings = self._log.skipped, self._log.warnings
 
 

@@ -175,7 +175,7 @@ plt.show()
 # %%
 errors_m: dict[str, list[float]] = {"all points": [], "without people (true labels)": []}
 for before, after in pairwise(scans):
-    start = se2.between(before.T_odom_base, after.T_odom_base)
+    start = se2.between(log.T_odom_base[before.index], log.T_odom_base[after.index])
     motion = se2.between(log.T_world_base[before.index], log.T_world_base[after.index])
     for name, values in errors_m.items():
         use = [s.is_valid() for s in (before, after)]

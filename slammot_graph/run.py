@@ -206,8 +206,6 @@ class Run:
         scans, n = kept.scans, len(kept.scans)
         online = _padded([scan.is_moving for scan in scans])
         is_moving = online if outcome.labels is None else _padded(outcome.labels)
-        T_odom_base = np.array([scan.T_odom_base for scan in scans]).reshape(-1, 3)
-        start = se2.compose(final.T_map_base[0], se2.inverse(T_odom_base[0])) if n else se2.IDENTITY
         stage_names = list(dict.fromkeys(name for scan in scans for name in scan.stage_ms))
         T_world_base = [scan.T_world_base for scan in scans if scan.T_world_base is not None]
         return RunResult(
@@ -215,7 +213,7 @@ class Run:
             config=to_plain(self.config),
             stamps=np.array([scan.stamp for scan in scans], dtype=np.float64),
             T_map_base=final.T_map_base,
-            T_map_odom_base=se2.compose(start[None, :], T_odom_base),
+            T_map_odom_base=_odometry_in_map([scan.T_odom_base for scan in scans], final.T_map_base),
             cov_map=final.cov_map,
             is_valid=_padded([scan.is_valid for scan in scans]),
             is_moving=is_moving,
@@ -252,7 +250,7 @@ class _KeptScan:
     stamp: float
     T_map_base: FloatArray
     cov_map: FloatArray
-    T_odom_base: FloatArray
+    T_odom_base: FloatArray | None
     T_world_base: FloatArray | None
     is_valid: BoolArray
     is_moving: BoolArray
@@ -380,6 +378,16 @@ def _no_map(resolution_m: float) -> GridMap:
 def _skipped(log: Any) -> Sequence[SkippedScan]:
     """Scans that a source has left out so far; empty where it does not tell."""
     return getattr(log, "skipped", ())
+
+
+def _odometry_in_map(poses: Sequence[FloatArray | None], T_map_base: FloatArray) -> FloatArray:
+    """(n, 3) odometry, moved to start where the trajectory (n, 3) does; NaN where there is none."""
+    T_odom_base = np.array([np.full(3, np.nan) if pose is None else pose for pose in poses]).reshape(-1, 3)
+    known = np.flatnonzero(np.isfinite(T_odom_base[:, 0]))
+    if not len(known):
+        return T_odom_base
+    start = se2.compose(T_map_base[known[0]], se2.inverse(T_odom_base[known[0]]))
+    return se2.compose(start[None, :], T_odom_base)
 
 
 def _padded(rows: list[np.ndarray], fill: float = 0.0) -> np.ndarray:

@@ -21,6 +21,12 @@ LASER = LaserModel(
 )
 
 
+def odometry_of(scan: Scan) -> FloatArray:
+    """(3,) odometry of a scan that has some."""
+    assert scan.T_odom_base is not None
+    return scan.T_odom_base
+
+
 def box(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
     """The four walls of a box, rows of (ax, ay, bx, by)."""
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])

@@ -18,7 +18,7 @@ from slammot_graph.mapping.occupancy_grid import NoReturnConfig
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import simulate
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
-from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
+from tests.rooms import LASER, box, drive, errors, odometry_of, take_scan, truth_from_start
 
 # a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
 YARD = np.vstack([[[-6, 4, 0, 4], [-6, -4, -6, 4], [-6, -4, 6, -4], [6, -4, 6, 0]], box(-4, -3, -3, -2)])
@@ -97,10 +97,10 @@ def test_open_space_that_returned_nothing_counts_as_free() -> None:
 def test_a_doubtful_pose_calls_nothing_moving() -> None:
     """The odometry jumps by 0.12 m, and the match says so: beyond the innovation's covariance."""
     log, jump = drive(50), np.array([0.12, 0.0, 0.0])
-    before = log.scans[32].T_odom_base
+    before = odometry_of(log.scans[32])
     T_after_before = se2.compose(before, se2.compose(jump, se2.inverse(before)))
     log.scans[32:] = [
-        replace(scan, T_odom_base=se2.compose(T_after_before, scan.T_odom_base)) for scan in log.scans[32:]
+        replace(scan, T_odom_base=se2.compose(T_after_before, odometry_of(scan))) for scan in log.scans[32:]
     ]
     found = {}
     for nis in (15.0, 1e9):

@@ -24,7 +24,7 @@ class KissIcpConfig:
     Attributes
     ----------
     use_odometry : bool
-        Start each registration at the odometry increment in place of the last motion.
+        Start each registration at the odometry increment, where there is one, in place of the last motion.
     max_range_m, min_range_m : float
     voxel_size_m : float
         Of the map; correspondences reach less than two voxels.
@@ -75,7 +75,7 @@ class KissIcpPipeline:
         self._icp = _make_kiss_icp(config)
         self.grid = OccupancyGrid(config.grid)
         self._T_odom_base: FloatArray | None = None
-        self._T_odom_registered: FloatArray = se2.IDENTITY
+        self._T_odom_registered: FloatArray | None = None
         self._T_map_base: FloatArray = se2.IDENTITY
         self._cov_map: FloatArray = FIRST_COV
         self._trajectory: list[FloatArray] = []
@@ -85,12 +85,10 @@ class KissIcpPipeline:
         """Take in the next scan; "step" in `stage_ms` is kiss-icp's `register_frame` alone."""
         is_valid = scan.is_valid(self.config.max_range_m)
         points = scan.points_base()
-        if self._T_odom_base is None:
-            self._T_odom_base = self._T_odom_registered = scan.T_odom_base
-        predicted = se2.compose(self._T_map_base, se2.between(self._T_odom_base, scan.T_odom_base))
+        predicted = se2.compose(self._T_map_base, self._increment(scan))
         self._T_odom_base = scan.T_odom_base
         frame = np.column_stack([points[is_valid], np.zeros(np.count_nonzero(is_valid))])
-        if self.config.use_odometry:
+        if self.config.use_odometry and scan.T_odom_base is not None and self._T_odom_registered is not None:
             self._icp.last_delta = _to_matrix(se2.between(self._T_odom_registered, scan.T_odom_base))
         start = time.perf_counter()
         if len(frame):
@@ -98,8 +96,7 @@ class KissIcpPipeline:
         register_ms = 1e3 * (time.perf_counter() - start)
         before, self._T_map_base = self._T_map_base, predicted
         if len(frame):
-            pose = np.asarray(self._icp.last_pose, dtype=np.float64)
-            self._T_map_base = np.array([pose[0, 3], pose[1, 3], np.arctan2(pose[1, 0], pose[0, 0])])
+            self._T_map_base = _from_matrix(np.asarray(self._icp.last_pose, dtype=np.float64))
             self._T_odom_registered = scan.T_odom_base
         moved = se2.between(before, self._T_map_base)
         cov = self.config.odometry_noise.covariance(moved)
@@ -131,6 +128,15 @@ class KissIcpPipeline:
             events=(),
             stage_ms={"step": register_ms},
         )
+
+    def _increment(self, scan: Scan) -> FloatArray:
+        """(3,) motion since the scan before: by odometry, else the last one of kiss-icp."""
+        if scan.T_odom_base is None:
+            return _from_matrix(np.asarray(self._icp.last_delta, dtype=np.float64))
+        if self._T_odom_registered is None:
+            self._T_odom_registered = scan.T_odom_base
+        before = scan.T_odom_base if self._T_odom_base is None else self._T_odom_base
+        return se2.between(before, scan.T_odom_base)
 
     def final_labels(self, T_map_base: FloatArray) -> None:
         """See `Pipeline.final_labels`; there are none."""
@@ -179,6 +185,10 @@ def _make_kiss_icp(config: KissIcpConfig) -> Any:
 
     icp.voxelize = voxelize
     return icp
+
+
+def _from_matrix(T_a_b: FloatArray) -> FloatArray:
+    return np.array([T_a_b[0, 3], T_a_b[1, 3], np.arctan2(T_a_b[1, 0], T_a_b[0, 0])])
 
 
 def _to_matrix(T_a_b: FloatArray) -> FloatArray:

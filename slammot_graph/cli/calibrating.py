@@ -18,7 +18,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose, prepare_file
+from slammot_graph.cli.files import LaserPose, OdometrySwitch, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,6 +39,10 @@ def calibrate_command(
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
     scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
+    base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
+    odometry: OdometrySwitch = "on",
     laser_pose: LaserPose = None,
 ) -> int:
     """Estimate the odometry's noise from a log, for `run --config`.
@@ -57,17 +61,36 @@ def calibrate_command(
         Which laser of a bag.
     odom_topic
         Which odometry of a bag.
+    imu_topic
+        Which IMU of a bag.
+    odom_frame
+        Frame of a bag's tf that odometry is told in, as robot1/odom.
+    base_frame
+        Frame of the robot in a bag's tf, as robot1/base_link.
+    odometry
+        off: leave the log's odometry aside; the laser alone tells of the motion.
     laser_pose
         As for `slammot-graph run`.
     """
     from slammot_graph.core.config import to_toml
-    from slammot_graph.logs import open_log
+    from slammot_graph.logs import open_log, source_of
     from slammot_graph.odometry.self_calibration import calibrate
     from slammot_graph.run_folder.atomic import atomic_path
 
     check_max_scans(max_scans)
     config, default = _settings(method)
-    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
+    opened = open_log(
+        log,
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        imu_topic=imu_topic,
+        odom_frame=odom_frame,
+        base_frame=base_frame,
+        laser_pose=laser_pose,
+        odometry=odometry == "on",
+    )
+    if source_of(opened).get("odometry") is not None:
+        raise InputError(f"{log}: no odometry, so there is none to calibrate")
     if output is not None:
         if output.exists() and output.samefile(log):
             raise InputError(f"{output}: is the log itself; name another --output")

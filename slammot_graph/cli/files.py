@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from slammot_graph.logs import LaserLog
 
 LaserPose = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y YAW")]
-"""Option of the commands that run a log."""
+OdometrySwitch = Literal["on", "off"]
+"""Options of the commands that run a log."""
 
 
 def prepare_file(output: Path) -> None:
@@ -61,5 +62,9 @@ def open_log_of_run(
         path,
         scan_topic=scan_topic or source.get("scan_topic"),
         odom_topic=odom_topic or source.get("odom_topic"),
+        imu_topic=source.get("imu_topic"),
+        odom_frame=source.get("odom_frame"),
+        base_frame=source.get("base_frame"),
         laser_pose=laser_pose,
+        odometry=source.get("odometry") != "off",
     )

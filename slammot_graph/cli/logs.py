@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
-from slammot_graph.cli.files import LaserPose, prepare_file
+from slammot_graph.cli.files import LaserPose, OdometrySwitch, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,6 +54,10 @@ def inject_command(
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
     scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
+    base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
+    odometry: OdometrySwitch = "on",
     laser_pose: LaserPose = None,
 ) -> int:
     """Copy a recorded log with people in it who cross the beams, and exact labels of those beams.
@@ -78,6 +82,14 @@ def inject_command(
         Which laser of a bag.
     odom_topic
         Which odometry of a bag.
+    imu_topic
+        Which IMU of a bag.
+    odom_frame
+        Frame of a bag's tf that odometry is told in, as robot1/odom.
+    base_frame
+        Frame of the robot in a bag's tf, as robot1/base_link.
+    odometry
+        off: leave the log's odometry aside; the laser alone tells of the motion.
     laser_pose
         As for `slammot-graph run`.
     """
@@ -92,7 +104,16 @@ def inject_command(
     from slammot_graph.run_folder.atomic import atomic_path
     from slammot_graph.simulation import inject
 
-    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
+    opened = open_log(
+        log,
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        imu_topic=imu_topic,
+        odom_frame=odom_frame,
+        base_frame=base_frame,
+        laser_pose=laser_pose,
+        odometry=odometry == "on",
+    )
     if output.exists() and output.samefile(log):
         raise InputError(f"{output}: is the recorded log itself; name another --output")
     prepare_file(output)

@@ -28,8 +28,9 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose
+from slammot_graph.cli.files import LaserPose, OdometrySwitch
 from slammot_graph.cli.logs import write_simulation
+from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
     from slammot_graph.core.log_info import SourceInfo
@@ -45,6 +46,9 @@ NIS_HINT = (
     "about 3 is right; less: the odometry is better than its settings say, more: worse;"
     " `slammot-graph calibrate` estimates them"
 )
+SHOWN = ("scan_topic", "odom_topic", "imu_topic", "odom_frame", "base_frame", "odometry")
+"""What of the log's source the table shows."""
+
 RerunMode = Literal["file", "spawn", "off"]
 
 
@@ -59,6 +63,10 @@ def run_command(
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
+    base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
+    odometry: OdometrySwitch = "on",
     laser_pose: LaserPose = None,
     rerun: RerunMode = "file",
     overwrite: bool = False,
@@ -83,6 +91,14 @@ def run_command(
         Which laser of a bag.
     odom_topic
         Which odometry of a bag.
+    imu_topic
+        Which IMU of a bag.
+    odom_frame
+        Frame of a bag's tf that odometry is told in, as robot1/odom.
+    base_frame
+        Frame of the robot in a bag's tf, as robot1/base_link.
+    odometry
+        off: leave the log's odometry aside; the laser alone tells of the motion.
     laser_pose
         Where the laser sits on the robot [m, m, rad], in place of what the log says.
     rerun
@@ -91,7 +107,7 @@ def run_command(
         Replace a run that is already in the folder.
     """
     from slammot_graph.core.config import load_config
-    from slammot_graph.logs import open_log
+    from slammot_graph.logs import open_log, source_of
     from slammot_graph.methods import get_method
 
     check_max_scans(max_scans)
@@ -99,7 +115,20 @@ def run_command(
     if config is not None:
         with printed_deprecations():
             settings = load_config(config, settings)
-    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
+    opened = open_log(
+        log,
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        imu_topic=imu_topic,
+        odom_frame=odom_frame,
+        base_frame=base_frame,
+        laser_pose=laser_pose,
+        odometry=odometry == "on",
+    )
+    if method == "odometry" and source_of(opened).get("odometry") is not None:
+        raise InputError(
+            f"{log}: no odometry, and the method odometry has nothing else; take another, as graph"
+        )
 
     from slammot_graph.run import Run
 
@@ -274,7 +303,8 @@ def _run_table(outcome: _Outcome) -> Table:
 
 def _source_rows(source: "SourceInfo") -> dict[str, str]:
     """Rows of the table that say what of the log was used."""
-    rows = {key.replace("_", " "): str(source[key]) for key in ("scan_topic", "odom_topic") if key in source}
+    told = dict(source)
+    rows = {key.replace("_", " "): str(told[key]) for key in SHOWN if key in told}
     if "laser_pose" in source:
         pose = " ".join(f"{value:.6g}" for value in source["laser_pose"])
         rows["laser pose"] = f"{pose} (x y yaw [m, m, rad]; {source['laser_pose_from']})"

@@ -11,8 +11,12 @@ class SourceInfo(TypedDict, total=False):
 
     Attributes
     ----------
-    scan_topic, odom_topic : str
+    scan_topic, odom_topic, imu_topic : str
         Of a bag.
+    odom_frame, base_frame : str
+        Of a bag; where the user named them.
+    odometry : str
+        "off" where the user left it aside, "none" where the log has none.
     laser_pose : (x, y, theta)
         Laser in base [m, m, rad].
     laser_pose_from : str
@@ -23,6 +27,10 @@ class SourceInfo(TypedDict, total=False):
 
     scan_topic: str
     odom_topic: str
+    imu_topic: str
+    odom_frame: str
+    base_frame: str
+    odometry: str
     laser_pose: tuple[float, float, float]
     laser_pose_from: str
     poses: str

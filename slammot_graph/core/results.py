@@ -251,7 +251,7 @@ class RunResult:
     T_map_base : (n, 3) array
         Optimised trajectory, in the log's order.
     T_map_odom_base : (n, 3) array
-        Raw odometry, moved so that it starts where the trajectory does.
+        Raw odometry, moved so that it starts where the trajectory does; rows of NaN for scans without odometry.
     cov_map : (n, 3, 3) array
         Covariance of `T_map_base`, right perturbation.
     is_valid, is_moving, is_moving_online : (n, beams) bool arrays

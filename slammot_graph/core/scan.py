@@ -1,4 +1,4 @@
-"""One laser scan with its odometry, and the model of the laser that took it."""
+"""One laser scan with what odometry there is, and the model of the laser that took it."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -8,6 +8,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 NO_RETURN_FRACTION = 0.97
@@ -98,17 +99,25 @@ class Scan:
         As measured [m]; may hold NaN, infinity and missing returns.
     laser : LaserModel
         Shared by scans of equal geometry.
-    T_odom_base : (3,) array
-        Odometry at the stamp: base in odom.
+    T_odom_base : (3,) array or None
+        Odometry at the stamp: base in odom. None where the log has none for this scan, or none at all.
     truth : ScanTruth or None
+    odometry : OdometryTrack or None
+        The odometry of the whole recorded log, also after this scan; shared by all scans. Its clock is that of the
+        stamps but for an offset. None where there is no odometry or the stamps of scans or odometry do not rise,
+        and of live sources.
+    imu_yaw : float or None
+        Yaw of the base at the stamp by an IMU's yaw rate alone [rad], not wrapped; its zero does not matter.
     """
 
     index: int
     stamp: float
     ranges: FloatArray
     laser: LaserModel
-    T_odom_base: FloatArray
+    T_odom_base: FloatArray | None
     truth: ScanTruth | None = field(default=None)
+    odometry: OdometryTrack | None = field(default=None, repr=False)
+    imu_yaw: float | None = None
 
     def is_valid(self, max_range: float = np.inf, range_fraction: float = NO_RETURN_FRACTION) -> BoolArray:
         """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m].

@@ -6,6 +6,7 @@ from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.localization.scan_to_map import ScanToMap
 from slammot_graph.localization.scan_to_scan import ScanToScan
 from slammot_graph.odometry.adaptive import AdaptiveOdometry
+from slammot_graph.odometry.fallback import OdometryOrPreviousMotion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.odometry.propagation import WheelOdometry
 
@@ -17,5 +18,5 @@ def make_localizer(config: LocalizerConfig, noise: OdometryNoise | ConstantNoise
     if isinstance(config, DeadReckoningConfig):
         return DeadReckoning(WheelOdometry(noise))
     if isinstance(config, ScanToScanConfig):
-        return ScanToScan(WheelOdometry(noise), config.point_to_point)
+        return ScanToScan(OdometryOrPreviousMotion(noise), config.point_to_point)
     return ScanToMap(AdaptiveOdometry(noise, config.odometry), config)

@@ -66,10 +66,10 @@ class MapMatching:
     ) -> tuple[MatchResult, MotionState]:
         """Match the static points (n, 2) of the scan from a predicted state; that comes back where it fails.
 
-        A match with which most of the scan's returns agree may contradict the prediction: the covariance of the motion is
-        stretched as Student's t asks for. Where fewer agree than usual, the prediction may be wrong, and with it what was
-        called moving there: all returns (`is_valid`) are matched from other starts. Where no pose is agreed by most of
-        them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds.
+        A match with which most of the scan's returns agree may contradict the prediction: the covariance of the motion
+        is stretched as Student's t asks for. Where fewer agree than usual, the prediction may be wrong, and with it
+        what was called moving there: all returns (`is_valid`) are matched from other starts. Where no pose is agreed by most
+        of them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds.
 
         A match with a narrower kernel that fails is made again with the usual one.
         """
@@ -78,7 +78,7 @@ class MapMatching:
             config = replace(config, kernel_scale_m=kernel_factor * config.kernel_scale_m)
         is_valid = is_static if is_valid is None else is_valid
         start = state = self._elsewhere or start
-        self._static_share = np.count_nonzero(is_static) / max(np.count_nonzero(is_valid), 1)
+        self._static_share = float(np.count_nonzero(is_static) / max(int(np.count_nonzero(is_valid)), 1))
         matched = self._match_from(points_base, is_static, start, config)
         if kernel_factor == 1.0:
             matched, state = self._against_prediction(points_base, is_static, is_valid, matched, start)

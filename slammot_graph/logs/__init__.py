@@ -1,4 +1,4 @@
-"""Logs: readers of recorded scans with odometry, a module or more for each format, opened by `open_log`.
+"""Logs: readers of recorded scans, with odometry or without, a module or more for each format, opened by `open_log`.
 
 May import `core` only.
 Public: `open_log`; the other names below are for who adds a format or a live source.

@@ -12,9 +12,13 @@ from slammot_graph.core.scan import LaserModel, ScanTruth
 from slammot_graph.core.types import FloatArray
 from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
+from slammot_graph.logs.scan_odometry import odometry_of_log
+from slammot_graph.logs.scan_stamps import mended
+from slammot_graph.logs.source import SkippedScan
 
 SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
-REQUIRED = ("stamps", "ranges", *SCALARS, "odometry", "laser_pose")
+REQUIRED = ("stamps", "ranges", *SCALARS, "laser_pose")
+OPTIONAL = ("odometry",)
 TRUTH = ("poses", "is_moving", "object_id")
 ESTIMATES = "poses_are_estimates"
 
@@ -29,6 +33,8 @@ class ArrayLog(RecordedLog):
     path : Path
     laser_pose : (x, y, theta), optional
         The laser in the base [m, m, rad], in place of the key `laser_pose`.
+    odometry : bool
+        False: leave the key `odometry` aside.
 
     Raises
     ------
@@ -36,7 +42,9 @@ class ArrayLog(RecordedLog):
         It is not an ``.npz`` file, a key is missing, or an array has the wrong shape or kind.
     """
 
-    def __init__(self, path: Path, *, laser_pose: tuple[float, float, float] | None = None) -> None:
+    def __init__(
+        self, path: Path, *, laser_pose: tuple[float, float, float] | None = None, odometry: bool = True
+    ) -> None:
         self._arrays = _checked(path, _load(path))
         if laser_pose is not None:
             self._arrays["laser_pose"] = np.array(laser_pose)
@@ -45,20 +53,37 @@ class ArrayLog(RecordedLog):
         source = laser_pose_source(self._laser.T_base_laser, told_by)
         if self._arrays.get(ESTIMATES, False):
             source["poses"] = "estimates"
-        super().__init__(path, n_scans=len(self._arrays["stamps"]), source=source)
+        times = mended(self._arrays["stamps"])
+        self._stamps = times.stamps
+        told = self._arrays.get("odometry") if odometry else None
+        self._odometry = odometry_of_log(told, self._stamps, is_wanted=odometry)
+        source.update(self._odometry.source)
+        super().__init__(
+            path,
+            n_scans=len(self._stamps),
+            opening_warnings=(*times.warnings, *self._odometry.warnings),
+            source=source,
+        )
 
     def _records(self) -> Records:
-        arrays = self._arrays
+        arrays, told, odometry = self._arrays, self._odometry, self._arrays.get("odometry")
         truth_keys = [key for key in TRUTH if key in arrays]
         for row in range(self.n_scans):
             truth = {key: arrays[key][row] for key in truth_keys}
+            place = f"row {row}"
+            try:
+                T_odom_base = None if odometry is None else told.of(row, odometry[row])
+            except ValueError as err:
+                yield SkippedScan(place=place, reason=one_line(err))
+                continue
             yield RawScan(
-                place=f"row {row}",
-                stamp=float(arrays["stamps"][row]),
+                place=place,
+                stamp=float(self._stamps[row]),
                 ranges=arrays["ranges"][row],
                 laser=self._laser,
-                T_odom_base=arrays["odometry"][row],
+                T_odom_base=T_odom_base,
                 truth=_scan_truth(truth) if truth else None,
+                odometry=told.track,
             )
 
 
@@ -71,7 +96,7 @@ def write_npz_log(
     angle_increment: float,
     range_min: float,
     range_max: float,
-    odometry: npt.ArrayLike,
+    odometry: npt.ArrayLike | None = None,
     laser_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
     poses: npt.ArrayLike | None = None,
     is_moving: npt.ArrayLike | None = None,
@@ -90,7 +115,7 @@ def write_npz_log(
         Direction of beam 0 and the step to the next [rad], laser frame, counter-clockwise.
     range_min, range_max : float
         Limits of a valid return [m].
-    odometry : (n, 3) array
+    odometry : (n, 3) array, optional
         Base in odom: x [m], y [m], theta [rad].
     laser_pose : (3,) array
         Laser in base.
@@ -138,7 +163,9 @@ def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             return {
-                key: _member(path, file, key) for key in (*REQUIRED, *TRUTH, ESTIMATES) if key in file.files
+                key: _member(path, file, key)
+                for key in (*REQUIRED, *OPTIONAL, *TRUTH, ESTIMATES)
+                if key in file.files
             }
     except InputError:
         raise

@@ -69,13 +69,14 @@ class Bag:
             while True:
                 try:
                     record = next(stream, None)
+                    bag_stamp = 0.0 if record is None else float(record[1]) * 1e-9
                 except Exception as err:  # the decoders of a damaged file may raise anything
                     raise _unreadable(self.path, err) from None
                 if record is None:
                     return
-                connection, bag_stamp_ns, raw = record
+                connection, _, raw = record
                 number += 1
-                yield BagMessage(number, bag_stamp_ns * 1e-9, self._decode(raw, connection.msgtype))
+                yield BagMessage(number, bag_stamp, self._decode(raw, connection.msgtype))
 
     def _stop(self, first_seconds: float | None) -> int | None:
         """Where the bag's first seconds end [ns]; None for all of it."""

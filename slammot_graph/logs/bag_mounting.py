@@ -33,12 +33,7 @@ def find_mounting(
     A `laser_pose` (x, y, theta) [m, m, rad] takes the place of the one in tf, which then says only whether the
     laser is tilted or upside down.
     """
-    tree = FrameTree()
-    with closing(_mounting_messages(bag)) as messages:
-        for message in messages:
-            _add_transforms(tree, message)
-            if tree.between(base_frames[0], laser_frame) is not None:
-                break
+    tree = frame_tree(bag, base_frames[0], laser_frame)
     for base_frame in base_frames:
         T_base_laser = tree.between(base_frame, laser_frame)
         if T_base_laser is not None:
@@ -56,6 +51,17 @@ def find_mounting(
     )
     nowhere = Mounting(T_base_laser=(0.0, 0.0, 0.0))
     return FoundMounting(mounting=nowhere, told_by="assumed", warnings=(warning,))
+
+
+def frame_tree(bag: Bag, base_frame: str, sensor_frame: str) -> FrameTree:
+    """The frames in a bag's tf, read until they connect a sensor with the base."""
+    tree = FrameTree()
+    with closing(_mounting_messages(bag)) as messages:
+        for message in messages:
+            _add_transforms(tree, message)
+            if tree.between(base_frame, sensor_frame) is not None:
+                break
+    return tree
 
 
 def _add_transforms(tree: FrameTree, message: BagMessage) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 
+IMU_TYPES = ("sensor_msgs/msg/Imu",)
 SCAN_TYPES = ("sensor_msgs/msg/LaserScan",)
 ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
 POSE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -42,37 +43,43 @@ def choose_scan_topic(path: Path, topics: Sequence[Topic], requested: str | None
 
 def choose_odometry_topic(
     path: Path, topics: Sequence[Topic], requested: str | None, *, n_scans: int
-) -> Topic | None:
-    """The topic of the odometry: Odometry, else poses if there are enough; None where only tf is left.
+) -> tuple[Topic | None, str]:
+    """The topic of the odometry: Odometry, else poses if there are enough, else tf; or None, and why.
 
     Raises
     ------
     InputError
-        Several fit, the requested one is not there or of another type, or there is neither odometry nor tf.
+        Several fit, or the requested one is not there or of another type.
     """
     transforms = _filled(topics, TF_TYPES)
     if requested is not None:
         fitting = _filled(topics, ODOMETRY_TYPES) + _filled(topics, POSE_TYPES) + transforms
-        topic = _requested(path, topics, fitting, requested, "--odom-topic", "odometry")
-        return None if topic in transforms else topic
+        return _requested(path, topics, fitting, requested, "--odom-topic", "odometry"), ""
     poses = _filled(topics, POSE_TYPES)
     frequent_poses = [x for x in poses if x.n_messages >= MIN_POSES_PER_SCAN * n_scans]
     for fitting in (_filled(topics, ODOMETRY_TYPES), frequent_poses):
         if fitting:
-            return _only(path, fitting, "--odom-topic", "odometry")
+            return _only(path, fitting, "--odom-topic", "odometry"), ""
     if transforms:
-        return None
-    hint = f" or name one of {_listed(poses)} with --odom-topic" if poses else ""
-    raise InputError(
-        f"{path}: no odometry (Odometry, PoseStamped, PoseWithCovarianceStamped or tf): record it{hint};"
-        f" its topics are {_listed(topics)}"
-    )
+        return min(transforms, key=lambda x: x.name.endswith("tf_static")), ""
+    hint = f"; name one of {_listed(poses)} with --odom-topic if it is" if poses else ""
+    return None, f"no odometry among its topics ({_listed(topics)}){hint}"
 
 
-def tf_topic(topics: Sequence[Topic]) -> str:
-    """Name of the topic on which tf broadcasts what moves; its static one only where there is no other."""
-    names = [x.name for x in _filled(topics, TF_TYPES)]
-    return min(names, key=lambda name: name.endswith("tf_static"))
+def choose_imu_topic(path: Path, topics: Sequence[Topic], requested: str | None) -> tuple[Topic | None, str]:
+    """The topic of the IMU, if there is one; None and a warning where there are several.
+
+    Raises
+    ------
+    InputError
+        The requested one is not there or of another type.
+    """
+    fitting = _filled(topics, IMU_TYPES)
+    if requested is not None:
+        return _requested(path, topics, fitting, requested, "--imu-topic", "Imu"), ""
+    if len(fitting) > 1:
+        return None, f"several Imu topics ({_listed(fitting)}), none is used; name one with --imu-topic"
+    return (fitting[0] if fitting else None), ""
 
 
 def _filled(topics: Sequence[Topic], msgtypes: Sequence[str]) -> list[Topic]:

@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from slammot_graph.core.log_info import SourceInfo
+from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.core.types import FloatArray
 from slammot_graph.logs.source import SkippedScan
@@ -27,8 +28,10 @@ class RawScan:
     stamp: float
     ranges: FloatArray
     laser: LaserModel
-    T_odom_base: FloatArray
+    T_odom_base: FloatArray | None
     truth: ScanTruth | None = None
+    odometry: OdometryTrack | None = None
+    imu_yaw: float | None = None
 
 
 Records: TypeAlias = Generator[RawScan | SkippedScan, None, None]
@@ -99,6 +102,8 @@ class RecordedLog(ABC):
                         laser=record.laser,
                         T_odom_base=record.T_odom_base,
                         truth=record.truth,
+                        odometry=record.odometry,
+                        imu_yaw=record.imu_yaw,
                     )
                     index += 1
         finally:
@@ -109,7 +114,7 @@ def _why_unusable(record: RawScan) -> str:
     """Why a record is unusable; empty when it is usable."""
     if not math.isfinite(record.stamp):
         return "its stamp is not finite"
-    if not all(map(math.isfinite, record.T_odom_base.tolist())):
+    if record.T_odom_base is not None and not all(map(math.isfinite, record.T_odom_base.tolist())):
         return "its odometry is not finite"
     if not ((record.ranges > 0.0) & (record.ranges < np.inf)).any():
         return "no beam has a finite, positive range"

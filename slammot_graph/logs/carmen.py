@@ -13,6 +13,8 @@ from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.carmen_geometry import survey_carmen
 from slammot_graph.logs.carmen_lines import LaserLine, split_laser_line
 from slammot_graph.logs.mounting import laser_pose_source
+from slammot_graph.logs.scan_odometry import odometry_of_log
+from slammot_graph.logs.scan_stamps import mended
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.logs.text_lines import numbered_lines
 
@@ -23,13 +25,16 @@ class CarmenLog(RecordedLog):
     Odometry, stamp and mounting come from the laser's own lines: odometry pose, ipc_timestamp, and laser pose
     seen from the odometry pose. The mounting is one for the whole file: the median over its lines, rounded to
     0.1 mm and 0.1 mrad. FLASER does not contain the laser's maximum range: it is taken as the largest reading of
-    the file, which is what the scanner reports where nothing returns.
+    the file, which is what the scanner reports where nothing returns. `Scan.odometry` is made of the ODOM lines where
+    these agree with the laser's lines, as they are more frequent and not held from one to the next.
 
     Parameters
     ----------
     path : Path
     laser_pose : (x, y, theta), optional
         The laser in the base [m, m, rad], in place of what the lines say.
+    odometry : bool
+        False: leave the odometry aside.
 
     Raises
     ------
@@ -37,13 +42,24 @@ class CarmenLog(RecordedLog):
         The file cannot be read, is damaged, or holds no laser line.
     """
 
-    def __init__(self, path: Path, *, laser_pose: tuple[float, float, float] | None = None) -> None:
+    def __init__(
+        self, path: Path, *, laser_pose: tuple[float, float, float] | None = None, odometry: bool = True
+    ) -> None:
         survey = survey_carmen(path, laser_pose)
+        times = mended(survey.stamps)
+        self._stamps = times.stamps
+        track = None if times.is_numbered else survey.odometry_lines(self._stamps)
+        self._odometry = odometry_of_log(
+            survey.T_odom_base, self._stamps, *(track or (None, None)), is_wanted=odometry
+        )
         super().__init__(
             path,
             n_scans=survey.n_scans,
-            opening_warnings=survey.warnings,
-            source=laser_pose_source(survey.T_base_laser, survey.mounting_told_by),
+            opening_warnings=(*survey.warnings, *times.warnings, *self._odometry.warnings),
+            source={
+                **laser_pose_source(survey.T_base_laser, survey.mounting_told_by),
+                **self._odometry.source,
+            },
         )
         self._survey = survey
 
@@ -51,23 +67,33 @@ class CarmenLog(RecordedLog):
         kind = self._survey.kind
         prefix = kind.encode() + b" "
         lasers = _Lasers(self._survey.T_base_laser)
+        record = -1
         with closing(numbered_lines(self.path)) as lines:
             for number, line in lines:
                 if not line.startswith(prefix):
                     continue
                 place = f"line {number}"
+                record += 1
+                if record == self.n_scans:  # the file has grown since
+                    return
                 try:
                     parts = split_laser_line(kind, line.split())
                     ranges = _numbers(parts.ranges)
                     yield RawScan(
                         place=place,
-                        stamp=float(parts.stamp),
+                        stamp=self._stamp(record, parts.stamp),
                         ranges=ranges,
                         laser=self._laser(parts, lasers),
-                        T_odom_base=_numbers(parts.laser_and_base[3:]),
+                        T_odom_base=self._odometry.of(record, _numbers(parts.laser_and_base[3:])),
+                        odometry=self._odometry.track,
                     )
                 except (ValueError, ConfigError) as err:
                     yield SkippedScan(place=place, reason=one_line(err))
+
+    def _stamp(self, record: int, told: bytes) -> float:
+        """Stamp of a line [s], mended; ValueError where the file holds no number."""
+        float(told)
+        return float(self._stamps[record])
 
     def _laser(self, parts: LaserLine, lasers: "_Lasers") -> LaserModel:
         """The laser that took a line's scan."""

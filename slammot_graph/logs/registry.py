@@ -4,9 +4,10 @@ from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.logs.arrays import ArrayLog
+from slammot_graph.logs.bag_odometry import FrameNames
 from slammot_graph.logs.carmen import CarmenLog
 from slammot_graph.logs.mounting import check_laser_pose
-from slammot_graph.logs.rosbag import RosbagLog
+from slammot_graph.logs.rosbag import BagChoices, RosbagLog
 from slammot_graph.logs.source import LaserLog
 from slammot_graph.logs.text_lines import read_start
 
@@ -14,6 +15,8 @@ KNOWN_FORMATS = "CARMEN (.log .clf, also .gz .bz2), ROS 1 .bag, ROS 2 bag folder
 
 BAG_MAGIC = {b"#ROSBAG": ".bag", b"\x89MCAP0": ".mcap", b"SQLite format 3\x00": ".db3"}
 """First bytes of a bag file and the name's ending that belongs to them."""
+
+OLD_BAG_MAGIC = (b"#ROSRECORD V", b"#ROSLOG V", b"#ROSBAG V1")
 
 NPZ_MAGIC = b"PK\x03\x04"
 
@@ -23,7 +26,11 @@ def open_log(
     *,
     scan_topic: str | None = None,
     odom_topic: str | None = None,
+    imu_topic: str | None = None,
+    odom_frame: str | None = None,
+    base_frame: str | None = None,
     laser_pose: tuple[float, float, float] | None = None,
+    odometry: bool = True,
 ) -> LaserLog:
     """Open a log of any known format, told by its first bytes.
 
@@ -32,10 +39,14 @@ def open_log(
     path : str or Path
         CARMEN (``.log .clf``, also ``.gz .bz2``), ROS 1 ``.bag``, a ROS 2 bag folder, ``.db3`` or ``.mcap``,
         or ``.npz``.
-    scan_topic, odom_topic : str, optional
+    scan_topic, odom_topic, imu_topic : str, optional
         Which topics of a bag to use where several would do.
+    odom_frame, base_frame : str, optional
+        Frames of a bag's tf between which to look for odometry; the laser's mounting is looked for on the base frame.
     laser_pose : (x, y, theta), optional
         The laser in the robot's base [m, m, rad], counter-clockwise, in place of what the log says.
+    odometry : bool
+        False: leave the log's odometry aside, as if it had none.
 
     Returns
     -------
@@ -44,7 +55,7 @@ def open_log(
     Raises
     ------
     InputError
-        No such file, an unknown or a damaged one, one without laser or odometry, a topic that is not there.
+        No such file, an unknown or a damaged one, one without laser, a topic that is not there.
     ConfigError
         The laser pose is not finite.
     """
@@ -52,16 +63,28 @@ def open_log(
     check_laser_pose(laser_pose)
     if _holds_a_bag(path):
         bag_path = _bag_in_folder(path) if path.is_dir() else path
-        return RosbagLog(bag_path, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
-    if scan_topic is not None or odom_topic is not None:
-        raise InputError(f"{path}: not a bag, so it has no topics; leave out --scan-topic and --odom-topic")
+        choices = BagChoices(
+            scan_topic=scan_topic,
+            odom_topic=odom_topic,
+            imu_topic=imu_topic,
+            frames=FrameNames(odom=odom_frame, base=base_frame),
+            laser_pose=laser_pose,
+            odometry=odometry,
+        )
+        return RosbagLog(bag_path, choices)
+    if any(name is not None for name in (scan_topic, odom_topic, imu_topic)):
+        raise InputError(
+            f"{path}: not a bag, so it has no topics; leave out --scan-topic, --odom-topic and --imu-topic"
+        )
+    if odom_frame is not None or base_frame is not None:
+        raise InputError(f"{path}: not a bag, so it has no frames; leave out --odom-frame and --base-frame")
     start = read_start(path)
     if start.startswith(NPZ_MAGIC):
-        return ArrayLog(path, laser_pose=laser_pose)
+        return ArrayLog(path, laser_pose=laser_pose, odometry=odometry)
     if path.suffix in (".npz", *BAG_MAGIC.values()) or b"\x00" in start:
         what = f"not a {path.suffix} file, whatever its name says" if path.suffix else "of no known format"
         raise InputError(f"{path}: {what}; known are {KNOWN_FORMATS}")
-    return CarmenLog(path, laser_pose=laser_pose)
+    return CarmenLog(path, laser_pose=laser_pose, odometry=odometry)
 
 
 def _holds_a_bag(path: Path) -> bool:
@@ -73,6 +96,11 @@ def _holds_a_bag(path: Path) -> bool:
     start = read_start(path)
     if not start:
         raise InputError(f"{path}: the file is empty; copy or record it again")
+    if start.startswith(OLD_BAG_MAGIC):
+        version = start.split(b"\n")[0].rpartition(b"V")[2].decode("ascii", "replace")
+        raise InputError(
+            f"{path}: a bag of version {version}, which is not read; convert it with `rosbag fix`"
+        )
     for magic, suffix in BAG_MAGIC.items():
         if start.startswith(magic):
             if path.suffix != suffix:

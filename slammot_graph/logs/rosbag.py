@@ -1,92 +1,128 @@
-"""ROS 1 and ROS 2 bags: LaserScan with odometry from a topic or from tf."""
+"""ROS 1 and ROS 2 bags: LaserScan, with odometry from a topic or from tf and an IMU where there are any."""
 
 from contextlib import closing
-from itertools import islice
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.log_info import SourceInfo
+from slammot_graph.core.odometry_track import MAX_HOLD_S, OdometryTrack
 from slammot_graph.core.scan import LaserModel
-from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, header_stamp, open_bag
-from slammot_graph.logs.bag_mounting import find_mounting
-from slammot_graph.logs.bag_odometry import base_frames, odometry_track, read_odometry, share_a_clock
-from slammot_graph.logs.bag_topics import Topic, choose_odometry_topic, choose_scan_topic, tf_topic
+from slammot_graph.core.types import FloatArray
+from slammot_graph.logs.bag_imu import YawTrack, read_yaw
+from slammot_graph.logs.bag_messages import BagMessage, frame_name, open_bag
+from slammot_graph.logs.bag_mounting import FoundMounting
+from slammot_graph.logs.bag_odometry import (
+    BagOdometry,
+    FrameNames,
+    base_frames,
+    read_odometry,
+    sample_arrays,
+    share_a_clock,
+    why_left_out,
+)
+from slammot_graph.logs.bag_scans import ScanHeaders, find_lasers, read_scan_headers
+from slammot_graph.logs.bag_topics import choose_imu_topic, choose_scan_topic
 from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.mounting import laser_pose_source
-from slammot_graph.logs.odometry import MAX_HOLD_S
+from slammot_graph.logs.scan_odometry import ScanOdometry, are_sane_poses, no_odometry, odometry_of_log
+from slammot_graph.logs.scan_stamps import mended
 from slammot_graph.logs.source import SkippedScan
 
 MAX_BEAM_COUNT_ERROR = 1.5
 """Largest difference between a scan's count of beams and the count from its angles."""
 
-N_SCANS_SAMPLED = 20
-"""Scans looked at on opening, to learn the laser's frame and clock."""
+
+@dataclass(frozen=True, kw_only=True)
+class BagChoices:
+    """What of a bag to use where several would do, or in place of what it says.
+
+    Attributes
+    ----------
+    scan_topic, odom_topic, imu_topic : str, optional
+        A tf topic may serve as odometry.
+    frames : FrameNames
+        Of odometry and base.
+    laser_pose : (x, y, theta), optional
+        The laser in the base [m, m, rad], in place of what tf says.
+    odometry : bool
+        False: leave the odometry aside.
+    """
+
+    scan_topic: str | None = None
+    odom_topic: str | None = None
+    imu_topic: str | None = None
+    frames: FrameNames = field(default_factory=FrameNames)
+    laser_pose: tuple[float, float, float] | None = None
+    odometry: bool = True
 
 
 class RosbagLog(RecordedLog):
-    """A bag, read in two passes: a light one for odometry and tf on opening, one for the scans each time.
+    """A bag, read in two passes: one for stamps, odometry and tf on opening, one for the scans each time.
 
     Odometry is interpolated to the scan's stamp. Stamps are the headers' (a scan is recorded only after its
     sweep and the delay of the driver), unless the headers of scans and odometry do not share a clock: then
-    recording times are used for both, with a warning.
+    recording times are used for both, with a warning. Where a topic holds the scans of several lasers, each is used by
+    its own mounting.
 
     Parameters
     ----------
     path : Path
         A ``.bag``, a ROS 2 bag folder, a ``.db3`` or a ``.mcap`` file.
-    scan_topic, odom_topic : str, optional
-        Which topics to use where several would do; a tf topic may serve as odometry.
-    laser_pose : (x, y, theta), optional
-        The laser in the base [m, m, rad], in place of what tf says.
+    choices : BagChoices
 
     Raises
     ------
     InputError
-        The bag cannot be read; it lacks scans or odometry; several topics would do; a topic is not there.
+        The bag cannot be read; it lacks scans; several topics would do; a topic is not there.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        scan_topic: str | None = None,
-        odom_topic: str | None = None,
-        laser_pose: tuple[float, float, float] | None = None,
-    ) -> None:
+    def __init__(self, path: Path, choices: BagChoices) -> None:
         with open_bag(path) as bag:
-            self._scan_topic = choose_scan_topic(path, bag.topics, scan_topic)
-            n_scans = self._scan_topic.n_messages
-            odometry_topic = choose_odometry_topic(path, bag.topics, odom_topic, n_scans=n_scans)
-            scans = _first_scans(bag, self._scan_topic)
-            samples = read_odometry(bag, odometry_topic)
-            laser_frame = frame_name(scans[0].content.header.frame_id)
-            found = find_mounting(bag, base_frames(samples), laser_frame, laser_pose)
-            odom_topic = odometry_topic.name if odometry_topic else tf_topic(bag.topics)
-        self._mounting = found.mounting
-        warnings = list(found.warnings)
-        self._uses_headers = share_a_clock(scans, samples)
-        if not self._uses_headers:
-            warnings.append(
-                "header stamps of scans and odometry do not share a clock; recording times are used instead"
+            self._scan_topic = choose_scan_topic(path, bag.topics, choices.scan_topic)
+            headers = read_scan_headers(bag, self._scan_topic)
+            n_scans = len(headers.stamps)
+            found = BagOdometry()
+            if choices.odometry:
+                found = read_odometry(bag, choices.odom_topic, choices.frames, n_scans=n_scans)
+            bases = base_frames(found.samples, choices.frames.base)
+            lasers = find_lasers(bag, self._scan_topic, headers.frames, bases, choices.laser_pose)
+            self._stamps, uses_headers, warnings = _stamps(headers, found)
+            self._odometry, self._track, more = _odometry(
+                path, found, self._stamps, uses_headers=uses_headers, is_wanted=choices.odometry
             )
-        self._odometry, odometry_warnings = odometry_track(path, samples, uses_headers=self._uses_headers)
+            imu_topic, imu_warning = choose_imu_topic(path, bag.topics, choices.imu_topic)
+            self._yaw: YawTrack | None = None
+            if imu_topic is not None:
+                self._yaw = read_yaw(bag, imu_topic, bases, uses_headers=uses_headers)
+        self._mountings = lasers.mountings
+        source: SourceInfo = {"scan_topic": self._scan_topic.name}
+        given = {
+            "odom_topic": found.topic,
+            "odom_frame": choices.frames.odom,
+            "base_frame": choices.frames.base,
+        }
+        source.update(SourceInfo(**{key: name for key, name in given.items() if name}))  # type: ignore[typeddict-item]
+        if imu_topic is not None:
+            source["imu_topic"] = imu_topic.name
+        source.update(laser_pose_source(lasers.first.mounting.T_base_laser, lasers.first.told_by))
+        source.update(self._odometry.source)
         super().__init__(
             path,
             n_scans=n_scans,
-            opening_warnings=[*warnings, *odometry_warnings],
-            source={
-                "scan_topic": self._scan_topic.name,
-                "odom_topic": odom_topic,
-                **laser_pose_source(self._mounting.T_base_laser, found.told_by),
-            },
+            opening_warnings=[x for x in (*lasers.warnings, *warnings, *more, imu_warning) if x],
+            source=source,
         )
 
     def _records(self) -> Records:
-        lasers: dict[tuple[float, ...], LaserModel] = {}
+        lasers: dict[tuple[float | str, ...], LaserModel] = {}
         with open_bag(self.path) as bag, closing(bag.messages([self._scan_topic])) as messages:
             for message in messages:
+                if message.number > self.n_scans:  # the bag has grown since
+                    return
                 place = f"message {message.number} of {self._scan_topic.name}"
                 try:
                     yield self._decode(place, message, lasers)
@@ -94,16 +130,17 @@ class RosbagLog(RecordedLog):
                     yield SkippedScan(place=place, reason=one_line(err))
 
     def _decode(
-        self, place: str, message: BagMessage, lasers: dict[tuple[float, ...], LaserModel]
+        self, place: str, message: BagMessage, lasers: dict[tuple[float | str, ...], LaserModel]
     ) -> RawScan:
-        scan = message.content
+        scan, record = message.content, message.number - 1
         if scan is None:
             raise ValueError("the message cannot be decoded")
-        laser = self._laser(scan, lasers)
-        stamp = header_stamp(scan) if self._uses_headers else message.bag_stamp
-        T_odom_base = self._odometry.at(stamp)
-        if T_odom_base is None:
-            raise ValueError(f"no odometry within {MAX_HOLD_S} s of its stamp")
+        frame = frame_name(scan.header.frame_id)
+        found = self._mountings.get(frame)
+        if found is None:
+            raise ValueError(f"it is not known where frame {frame or '(unnamed)'} sits on the robot")
+        laser = _laser(scan, frame, found, lasers)
+        stamp = float(self._stamps[record])
         with np.errstate(invalid="ignore"):  # a signalling NaN in a range is just an invalid beam
             ranges = scan.ranges.astype(np.float64)
         return RawScan(
@@ -111,34 +148,83 @@ class RosbagLog(RecordedLog):
             stamp=stamp,
             ranges=ranges,
             laser=laser,
-            T_odom_base=T_odom_base,
+            T_odom_base=self._T_odom_base(record, stamp),
+            odometry=self._odometry.track,
+            imu_yaw=None if self._yaw is None else self._yaw.at(stamp),
         )
 
-    def _laser(self, scan: Any, lasers: dict[tuple[float, ...], LaserModel]) -> LaserModel:
-        """The laser that took a scan; if it is mounted upside down, the order of the angles is reversed."""
-        n_beams = len(scan.ranges)
-        key = (scan.angle_min, scan.angle_max, scan.angle_increment, n_beams, scan.range_min, scan.range_max)
-        if key not in lasers:
-            span, step = scan.angle_max - scan.angle_min, scan.angle_increment
-            if not abs(n_beams * step - span) <= MAX_BEAM_COUNT_ERROR * abs(step):
-                raise ValueError(
-                    f"{n_beams} beams contradict a span of {span:.4f} rad in steps of {step:.6f} rad"
-                )
-            sense = -1.0 if self._mounting.is_upside_down else 1.0
-            lasers[key] = LaserModel(
-                angle_min=sense * scan.angle_min,
-                angle_increment=sense * step,
-                n_beams=n_beams,
-                range_min=scan.range_min,
-                range_max=scan.range_max,
-                T_base_laser=self._mounting.T_base_laser,
+    def _T_odom_base(self, record: int, stamp: float) -> FloatArray | None:
+        """(3,) odometry of a scan; None: use it without."""
+        if self._track is None or self._odometry.is_optional[record]:
+            return None
+        T_odom_base = self._track.at(stamp)
+        if T_odom_base is None:
+            raise ValueError(f"no odometry within {MAX_HOLD_S} s of its stamp")
+        return T_odom_base
+
+
+def _laser(
+    scan: Any, frame: str, found: FoundMounting, lasers: dict[tuple[float | str, ...], LaserModel]
+) -> LaserModel:
+    """The laser that took a scan; if it is mounted upside down, the order of the angles is reversed."""
+    n_beams = len(scan.ranges)
+    key = (
+        frame,
+        scan.angle_min,
+        scan.angle_max,
+        scan.angle_increment,
+        n_beams,
+        scan.range_min,
+        scan.range_max,
+    )
+    if key not in lasers:
+        span, step = scan.angle_max - scan.angle_min, scan.angle_increment
+        if not abs(n_beams * step - span) <= MAX_BEAM_COUNT_ERROR * abs(step):
+            raise ValueError(
+                f"{n_beams} beams contradict a span of {span:.4f} rad in steps of {step:.6f} rad"
             )
-        return lasers[key]
+        sense = -1.0 if found.mounting.is_upside_down else 1.0
+        lasers[key] = LaserModel(
+            angle_min=sense * scan.angle_min,
+            angle_increment=sense * step,
+            n_beams=n_beams,
+            range_min=scan.range_min,
+            range_max=scan.range_max,
+            T_base_laser=found.mounting.T_base_laser,
+        )
+    return lasers[key]
 
 
-def _first_scans(bag: Bag, topic: Topic) -> list[BagMessage]:
-    with closing(bag.messages([topic])) as messages:
-        scans = [x for x in islice(messages, N_SCANS_SAMPLED) if x.content is not None]
-    if not scans:
-        raise InputError(f"{bag.path}: the messages of {topic.name} cannot be decoded; record the bag again")
-    return scans
+def _stamps(headers: ScanHeaders, found: BagOdometry) -> tuple[FloatArray, bool, list[str]]:
+    """Stamps of the scans (n,) [s], whether they are the headers', and warnings."""
+    by_header = mended(headers.stamps)
+    if share_a_clock(headers.stamps, headers.bag_stamps, found.samples) and not by_header.is_numbered:
+        return by_header.stamps, True, list(by_header.warnings)
+    by_recorder = mended(headers.bag_stamps)
+    what = "header stamps of scans and odometry do not share a clock"
+    if not found.samples or by_header.is_numbered:
+        what = f"header stamps of the scans do not rise{' and' if found.samples else ''}"
+        what += " do not share a clock with the odometry" if found.samples else ""
+    return by_recorder.stamps, False, [f"{what}; recording times are used instead", *by_recorder.warnings]
+
+
+def _odometry(
+    path: Path, found: BagOdometry, scan_stamps: FloatArray, *, uses_headers: bool, is_wanted: bool
+) -> tuple[ScanOdometry, OdometryTrack | None, list[str]]:
+    """Odometry of the scans with the track to interpolate in, and warnings."""
+    if not is_wanted or not found.samples:
+        if is_wanted:
+            told = no_odometry(len(scan_stamps), found.why_none)
+        else:
+            told = odometry_of_log(None, scan_stamps, is_wanted=False)
+        return told, None, list(told.warnings)
+    stamps, poses = sample_arrays(found.samples, uses_headers=uses_headers)
+    stamps = mended(stamps).stamps
+    is_sane = are_sane_poses(poses)
+    if not is_sane.any():
+        raise InputError(
+            f"{path}: none of the {len(poses)} odometry poses is finite; choose another --odom-topic"
+        )
+    track = OdometryTrack.from_samples(stamps[is_sane], poses[is_sane])
+    told = odometry_of_log(track.at_many(scan_stamps), scan_stamps, stamps, poses)
+    return told, track, [x for x in (why_left_out(poses), *told.warnings) if x]

@@ -25,7 +25,7 @@ class SkippedScan:
 
 
 class Source(Protocol):
-    """A stream of scans with odometry; it may be live: its length is unknown, and it cannot be read twice.
+    """A stream of scans, with odometry or without; it may be live: its length is unknown, and it cannot be read twice.
 
     Attributes
     ----------

@@ -13,6 +13,9 @@ from slammot_graph.logs.base import one_line
 
 _BUFFER_BYTES = 1 << 18
 
+MAX_LINE_BYTES = 1 << 24
+"""No line of a log is longer: a scan of 100,000 beams takes a tenth of it."""
+
 
 def open_decompressed(path: Path) -> BinaryIO:
     """Open a file for reading, decompressed as its first bytes require."""
@@ -39,7 +42,11 @@ def numbered_lines(path: Path) -> Generator[tuple[int, bytes], None, None]:
             open_decompressed(path) as raw,
             io.BufferedReader(cast(io.RawIOBase, raw), _BUFFER_BYTES) as lines,
         ):
-            for number, line in enumerate(lines, start=1):
+            for number, line in enumerate(iter(lambda: lines.readline(MAX_LINE_BYTES), b""), start=1):
+                if len(line) == MAX_LINE_BYTES:
+                    raise InputError(
+                        f"{path}: line {number} is longer than {MAX_LINE_BYTES} bytes; this is no log"
+                    )
                 yield number, line
     except EOFError:
         raise InputError(

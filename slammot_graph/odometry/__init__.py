@@ -4,8 +4,9 @@ A motion model gives each scan's increment with its covariance; `Propagation` ca
 Imports `core` only.
 """
 
+from slammot_graph.odometry.motion import Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
-from slammot_graph.odometry.propagation import Motion, MotionModel, MotionState, Propagation, WheelOdometry
+from slammot_graph.odometry.propagation import MotionModel, MotionState, Propagation, WheelOdometry
 
 __all__ = [
     "ConstantNoise",

@@ -47,6 +47,8 @@ class AdaptiveOdometryConfig(Checked):
     min_agreement_to_leave, min_agreement_to_stay : float
         The odometry is left while more of the returns agree with the matches than this in the mean, and comes back when
         fewer do: where much of what the laser sees moves, the matches are no judge.
+    imu_std_rad : float
+        Of a turn between two scans that an IMU tells.
     min_noise_scale, max_noise_scale : float
         Bounds of the learnt scale of the noise's standard deviation.
     """
@@ -63,6 +65,7 @@ class AdaptiveOdometryConfig(Checked):
     max_excess: Positive = 30.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
+    imu_std_rad: Positive = 0.005
     min_noise_scale: Positive = 1.0
     max_noise_scale: Positive = 3.0
 
@@ -87,6 +90,7 @@ class AdaptiveOdometry:
         self.previous = PreviousMotion(config.previous_motion)
         self.source: MotionSource = "odometry"
         self.T_odom_base: FloatArray = se2.IDENTITY
+        self._scan_before: tuple[float, Scan] | None = None
         self._history = OdometryHistory()
         self._record = _Record()
         self._T_local_before: FloatArray | None = None
@@ -95,19 +99,19 @@ class AdaptiveOdometry:
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
         history, record = self._history, self._record
-        before_s = history.clock_s
-        is_first = record.n_scans == 0
-        record.n_scans += 1
-        history.append(scan.stamp, scan.T_odom_base)
-        if is_first:
+        before, self._scan_before = self._scan_before, (history.clock_s, scan)
+        history.advance(scan.stamp, scan.T_odom_base, scan.odometry)
+        self._scan_before = history.clock_s, scan
+        if before is None:
             return None
-        previous = self.previous.motion(history.step_s)
-        told = self._by_odometry(before_s)
+        previous = _with_imu(self.previous.motion(history.step_s), before[1], scan, self.config.imu_std_rad)
+        told = None
+        if scan.T_odom_base is not None and before[1].T_odom_base is not None:
+            told = _with_imu(self._by_odometry(before[0]), before[1], scan, self.config.imu_std_rad)
         record.start_scan(told, previous)
-        is_possible = not history.is_regular or self._is_possible(told.increment, previous.increment)
-        use_odometry = is_possible and self.source == "odometry"
-        record.count(use_odometry=use_odometry, is_possible=is_possible)
-        motion = told if use_odometry else previous
+        is_possible = told is None or not history.is_steady or self._is_possible(told, previous)
+        motion = told if told is not None and is_possible and self.source == "odometry" else previous
+        record.count(use_odometry=motion is told, is_possible=is_possible)
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
         return motion
 
@@ -121,7 +125,7 @@ class AdaptiveOdometry:
             self.source = "odometry"
         if match is None:
             self.previous.miss()
-        elif self._T_local_before is not None and self._record.told is not None:
+        elif self._T_local_before is not None:
             self._learn(self._T_local_before, match)
             if match.is_reliable and self._match_before is not None:
                 self._calibrate(self._match_before, (now_s, match))
@@ -132,8 +136,8 @@ class AdaptiveOdometry:
         """What was found out so far."""
         now, record = self.calibration.now, self._record
         return OdometryReport(
-            source=self.source,
-            has_odometry=True,
+            source=self.source if record.has_odometry else "previous motion",
+            has_odometry=record.has_odometry,
             clock_offset_s=now.clock_offset_s,
             distance_scale=now.distance_scale,
             heading_scale=now.heading_scale,
@@ -166,10 +170,10 @@ class AdaptiveOdometry:
             cov = cov * np.outer(scales, scales)
         return Motion(increment=increment, cov=cov)
 
-    def _is_possible(self, told: FloatArray, previous: FloatArray) -> bool:
-        """Tell whether a robot can have made an increment (3,), given the one that it made before."""
+    def _is_possible(self, told: Motion, previous: Motion) -> bool:
+        """Tell whether a robot can have made a motion, given the one that it made before."""
         step_s = self._history.step_s
-        dx, dy, turn = (told - previous).tolist()
+        dx, dy, turn = (told.increment - previous.increment).tolist()
         if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
             return False
         return abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05
@@ -178,17 +182,15 @@ class AdaptiveOdometry:
         """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""
         found = np.empty(3)
         relative(T_before, match.T_local_base, found)
-        if match.is_reliable:
-            self._compare(found, match)
+        if match.is_reliable and self._record.told is not None:
+            self._compare(self._record.told, found, match)
         self.previous.learn(found, np.sqrt(np.diag(match.cov)), self._history.step_s)
 
-    def _compare(self, found: FloatArray, match: MatchedPose) -> None:
+    def _compare(self, told: Motion, found: FloatArray, match: MatchedPose) -> None:
         """Judge both predictions by the increment (3,) that a match found."""
         record, config = self._record, self.config
-        assert record.told is not None
-        assert record.previous is not None
         record.error2_odometry += config.error_gain * (
-            prediction_error2(record.told, found, config.error_lever_m, config.error_cap_m)
+            prediction_error2(told.increment, found, config.error_lever_m, config.error_cap_m)
             - record.error2_odometry
         )
         record.error2_previous += config.error_gain * (
@@ -197,7 +199,7 @@ class AdaptiveOdometry:
         )
         own, other = record.error2_odometry, record.error2_previous
         record.excess += config.error_gain * (
-            min(normalised_error2(record.told, record.cov_told, found, match.cov), config.max_excess)
+            min(normalised_error2(told.increment, told.cov, found, match.cov), config.max_excess)
             - record.excess
         )
         if self.source == "odometry":
@@ -209,7 +211,7 @@ class AdaptiveOdometry:
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
         """Give two matches in a row to the calibration."""
-        if not self._history.is_regular:
+        if not self._history.is_regular or self._record.told is None:
             return
         increment = np.empty(3)
         relative(before[1].T_local_base, after[1].T_local_base, increment)
@@ -220,25 +222,36 @@ class AdaptiveOdometry:
         )
 
 
+def _with_imu(motion: Motion, before: Scan, scan: Scan, std_rad: float) -> Motion:
+    """Take the turn from the IMU where both scans have its yaw."""
+    if before.imu_yaw is None or scan.imu_yaw is None:
+        return motion
+    increment, cov = motion.increment.copy(), motion.cov.copy()
+    increment[2] = scan.imu_yaw - before.imu_yaw
+    cov[2, :] = cov[:, 2] = 0.0
+    cov[2, 2] = std_rad * std_rad
+    return Motion(increment=increment, cov=cov)
+
+
 class _Record:
     """What was predicted for the latest scan, and how well both predictions did so far."""
 
     def __init__(self) -> None:
-        self.n_scans = 0
         self.n_by_odometry = 0
         self.n_by_previous = 0
         self.n_impossible = 0
-        self.told: FloatArray | None = None
-        self.cov_told: FloatArray = np.zeros((3, 3))
-        self.previous: FloatArray | None = None
+        self.has_odometry = False
+        self.told: Motion | None = None
+        self.previous: FloatArray = np.zeros(3)
         self.excess = 0.0
         self.agreement = 0.0
         self.error2_odometry = 0.0
         self.error2_previous = 0.0
 
-    def start_scan(self, told: Motion, previous: Motion) -> None:
+    def start_scan(self, told: Motion | None, previous: Motion) -> None:
         """Take in both predictions of the next motion."""
-        self.told, self.cov_told, self.previous = told.increment, told.cov, previous.increment
+        self.told, self.previous = told, previous.increment
+        self.has_odometry |= told is not None
 
     def count(self, *, use_odometry: bool, is_possible: bool) -> None:
         """Count what was used."""

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from slammot_graph.core.errors import InputError
 from slammot_graph.core.results import StepResult
 from slammot_graph.odometry.self_calibration import Windows, cut_windows
 
@@ -15,11 +16,18 @@ def windows_of_steps(steps: Iterable[StepResult]) -> Windows:
     ----------
     steps : iterable of StepResult
         At least one, of a method that matches onto a local map.
+
+    Raises
+    ------
+    InputError
+        A scan has no odometry.
     """
     T_odom_base, T_anchor_base, cov_independent, cov_correlated, anchors, is_usable = [], [], [], [], [], []
     for step in steps:
         match = step.match
         converged = match if match is not None and match.status == "converged" else None
+        if step.scan.T_odom_base is None:
+            raise InputError(f"scan {step.scan.index} has no odometry to calibrate")
         T_odom_base.append(step.scan.T_odom_base)
         anchors.append(step.anchor_scan)
         is_usable.append(converged is not None)

@@ -1,23 +1,27 @@
-"""The odometry of the scans so far, on a clock that never runs backward, to be asked for poses between them."""
+"""The odometry on a clock that never runs backward, to be asked for poses between the scans."""
 
 import math
 
 import numpy as np
 
+from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.types import FloatArray
 
 MAX_STEP_RATIO = 20.0
 """A step of the stamps that is no step forward, or longer than this many usual ones, tells nothing of time."""
 
 USUAL_RATIO = 2.5
-"""Velocities are told by steps within this ratio of the usual one; a longer or shorter one counts as usual for them."""
+"""A step of the stamps within this ratio of the mean is a usual one."""
+
+USUAL_GAIN = 0.05
+"""Weight of the latest step in the mean of the usual ones."""
 
 FIRST_STEP_S = 0.1
 """Time between two scans as long as none is known [s]."""
 
 
 class OdometryHistory:
-    """Odometry poses at the scans, in the order of the log.
+    """Odometry poses of the whole log where it gives them, else those at the scans so far, in the order of the log.
 
     Attributes
     ----------
@@ -27,6 +31,8 @@ class OdometryHistory:
         Since the scan before, as velocities count it [s].
     is_regular : bool
         The latest step is that of the stamps.
+    is_steady : bool
+        The latest two steps are usual ones.
     """
 
     N_KEPT = 4096
@@ -35,28 +41,33 @@ class OdometryHistory:
         self.clock_s = 0.0
         self.step_s = FIRST_STEP_S
         self.is_regular = False
+        self.is_steady = False
+        self._was_usual = False
         self._usual_s = math.nan
         self._stamp = math.nan
+        self._first_stamp = 0.0
+        self._track: OdometryTrack | None = None
+        self._timed_track: OdometryTrack | None = None
+        self._track_times: FloatArray = np.zeros(0)
         self._times = np.zeros(2 * self.N_KEPT)
         self._poses = np.zeros((2 * self.N_KEPT, 3))
         self._n = 0
 
-    def append(self, stamp: float, T_odom_base: FloatArray) -> None:
-        """Move on to the next scan, with its stamp [s] and odometry (3,)."""
-        step_s = stamp - self._stamp
-        usual_s = FIRST_STEP_S if math.isnan(self._usual_s) else self._usual_s
-        self.is_regular = 0.0 < step_s < MAX_STEP_RATIO * usual_s or (
-            step_s > 0.0 and math.isnan(self._usual_s)
-        )
-        if self.is_regular:
-            self._usual_s = (
-                step_s if math.isnan(self._usual_s) else self._usual_s + 0.05 * (step_s - self._usual_s)
-            )
-        self._stamp = stamp
-        if self._n:
-            self.clock_s += step_s if self.is_regular else usual_s
-        is_usual = self.is_regular and usual_s / USUAL_RATIO < step_s < USUAL_RATIO * usual_s
-        self.step_s = step_s if is_usual else usual_s
+    def advance(self, stamp: float, T_odom_base: FloatArray | None, track: OdometryTrack | None) -> None:
+        """Move on to the next scan.
+
+        Parameters
+        ----------
+        stamp : float
+        T_odom_base : (3,) array or None
+            Its odometry; None leaves a gap.
+        track : OdometryTrack or None
+            The odometry of the whole log, on the clock of the stamps.
+        """
+        self._advance_clock(stamp, has_track=track is not None)
+        self._track = track
+        if T_odom_base is None:
+            return
         if self._n == len(self._times):
             self._times[: self.N_KEPT] = self._times[self.N_KEPT :]
             self._poses[: self.N_KEPT] = self._poses[self.N_KEPT :]
@@ -70,13 +81,13 @@ class OdometryHistory:
         self._n += 1
 
     def at(self, times_s: FloatArray) -> FloatArray:
-        """(n, 3) poses at times (n,) of the clock; beyond the latest scan the latest motion goes on.
+        """(n, 3) poses at times (n,) of the clock; beyond the latest one known the latest motion goes on.
 
         Theta is unwrapped.
         """
-        times, poses = self._times[: self._n], self._poses[: self._n]
+        times, poses = self._samples()
         out = np.stack([np.interp(times_s, times, poses[:, k]) for k in range(3)], axis=-1)
-        if self._n >= 2:
+        if len(times) >= 2:
             ahead_s = np.maximum(times_s - times[-1], 0.0)
             if ahead_s.any():
                 speed = (poses[-1] - poses[-2]) / max(times[-1] - times[-2], 1e-6)
@@ -85,13 +96,41 @@ class OdometryHistory:
 
     def pose_at(self, time_s: float) -> FloatArray:
         """(3,) pose at one time of the clock; see `at`."""
-        n = self._n
-        times, poses = self._times, self._poses
-        k = n - 1
-        while k > 1 and times[k - 1] > time_s:
-            k -= 1
+        times, poses = self._samples()
+        n = len(times)
         if n < 2:
-            return poses[0].copy()
-        share = (time_s - times[k - 1]) / max(times[k] - times[k - 1], 1e-6)
-        pose: FloatArray = poses[k - 1] + max(share, 0.0) * (poses[k] - poses[k - 1])
-        return pose
+            return np.array(poses[0])
+        k = min(max(int(np.searchsorted(times, time_s)), 1), n - 1)
+        start, end = float(times[k - 1]), float(times[k])
+        share = max((time_s - start) / max(end - start, 1e-6), 0.0)
+        return np.asarray(poses[k - 1] + share * (poses[k] - poses[k - 1]))
+
+    def _samples(self) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) of the clock and poses (n, 3): of the whole log, or of the scans so far."""
+        if self._track is None:
+            return self._times[: self._n], self._poses[: self._n]
+        if self._track is not self._timed_track:
+            self._timed_track = self._track
+            self._track_times = self._track.stamps - self._first_stamp
+        return self._track_times, self._track.T_odom_base
+
+    def _advance_clock(self, stamp: float, *, has_track: bool) -> None:
+        step_s = stamp - self._stamp
+        usual_s = FIRST_STEP_S if math.isnan(self._usual_s) else self._usual_s
+        was_regular = self.is_regular
+        self.is_regular = step_s > 0.0 and (
+            has_track or math.isnan(self._usual_s) or step_s < MAX_STEP_RATIO * usual_s
+        )
+        if self.is_regular:
+            gain = 1.0 if math.isnan(self._usual_s) else USUAL_GAIN
+            self._usual_s = usual_s + gain * (min(step_s, MAX_STEP_RATIO * usual_s) - usual_s)
+        if math.isnan(self._stamp):
+            self._first_stamp = stamp
+        else:
+            self.clock_s += step_s if self.is_regular else usual_s
+        self._stamp = stamp
+        is_usual = self.is_regular and usual_s / USUAL_RATIO < step_s < USUAL_RATIO * usual_s
+        self.is_steady, self._was_usual = is_usual and self._was_usual, is_usual
+        # a long step after one that cannot be right makes up for it; another one is a gap
+        is_gap = self.is_regular and step_s >= USUAL_RATIO * usual_s and was_regular
+        self.step_s = step_s if is_usual or is_gap else usual_s

@@ -8,6 +8,9 @@ from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.motion import Motion
 
+MAX_STEP_S = 1.0
+"""The previous motion is not believed to go on for longer."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PreviousMotionConfig(Checked):
@@ -56,7 +59,7 @@ class PreviousMotion:
     def motion(self, step_s: float) -> Motion:
         """Predict the motion over the next `step_s`; after scans that were not matched it is known less well."""
         std = (1 + self._n_missed) * step_s * self.std
-        return Motion(increment=step_s * self.velocity, cov=np.diag(std * std))
+        return Motion(increment=min(step_s, MAX_STEP_S) * self.velocity, cov=np.diag(std * std))
 
     def learn(self, increment: FloatArray, std: FloatArray, step_s: float) -> None:
         """Take in an increment (3,) that a match found, and its standard deviations (3,)."""

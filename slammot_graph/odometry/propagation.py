@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.motion import MatchedPose, Motion
@@ -48,7 +49,18 @@ class WheelOdometry:
         self._is_first = True
 
     def advance(self, scan: Scan) -> Motion | None:
-        """See `MotionModel`."""
+        """See `MotionModel`.
+
+        Raises
+        ------
+        InputError
+            The scan has no odometry.
+        """
+        if scan.T_odom_base is None:
+            raise InputError(
+                f"scan {scan.index} has no odometry, by which this method tells the motion; choose one that matches"
+                " scans, as `graph`"
+            )
         before, self.T_odom_base = self.T_odom_base, scan.T_odom_base
         if self._is_first:
             self._is_first = False

@@ -129,7 +129,8 @@ class _Base:
         self.laser: LaserModel = self.scans[0].laser
         self.stamps = np.array([scan.stamp for scan in self.scans])
         self.ranges = np.array([scan.ranges for scan in self.scans])
-        self.T_odom_base = np.array([scan.T_odom_base for scan in self.scans])
+        odometry = [scan.T_odom_base for scan in self.scans]
+        self.T_odom_base = np.array([np.full(3, np.nan) if pose is None else pose for pose in odometry])
 
     def is_shortened(self, shapes: FloatArray) -> tuple[BoolArray, FloatArray, IntArray]:
         """Beams that meet a circle before what was recorded, with the distance and the circle."""

@@ -9,6 +9,7 @@ import numpy as np
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs import SkippedScan, write_npz_log
+from slammot_graph.logs.scan_odometry import rising_track
 
 
 class SimulatedLog:
@@ -22,6 +23,7 @@ class SimulatedLog:
     stamps : (n,) array [s]
     ranges : (n, beams) array [m]
     T_odom_base : (n, 3) array
+        Rows of NaN for scans without odometry.
     T_world_base : (n, 3) array
         Truth; of an injected log, the reference trajectory.
     is_moving : (n, beams) bool array
@@ -59,18 +61,21 @@ class SimulatedLog:
         self.warnings: list[str] = []
 
     def __iter__(self) -> Iterator[Scan]:
+        track = rising_track(self.stamps, self.T_odom_base, self.stamps)
+        has_odometry = np.atleast_1d(np.isfinite(self.T_odom_base).all(axis=1))
         for k in range(self.n_scans):
             yield Scan(
                 index=k,
                 stamp=float(self.stamps[k]),
                 ranges=self.ranges[k],
                 laser=self.laser,
-                T_odom_base=self.T_odom_base[k],
+                T_odom_base=self.T_odom_base[k] if has_odometry[k] else None,
                 truth=ScanTruth(
                     T_world_base=self.T_world_base[k],
                     is_moving=self.is_moving[k],
                     object_id=self.object_id[k],
                 ),
+                odometry=track,
             )
 
     def arrays(self) -> dict[str, Any]:
@@ -82,7 +87,7 @@ class SimulatedLog:
             "angle_increment": self.laser.angle_increment,
             "range_min": self.laser.range_min,
             "range_max": self.laser.range_max,
-            "odometry": self.T_odom_base,
+            "odometry": self.T_odom_base if np.isfinite(self.T_odom_base).any() else None,
             "laser_pose": np.array(self.laser.T_base_laser),
             "poses": self.T_world_base,
             "is_moving": self.is_moving,

@@ -8,7 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.results import StepResult
 from slammot_graph.odometry.noise import OdometryNoise
-from tests.rooms import LASER, ListLog, drive, errors, occluded, truth_from_start
+from tests.rooms import LASER, ListLog, drive, errors, occluded, odometry_of, truth_from_start
 
 
 def run(log: ListLog, config: KissIcpConfig) -> tuple[KissIcpPipeline, list[StepResult]]:
@@ -48,7 +48,7 @@ def test_the_start_value_comes_from_the_odometry() -> None:
     log = drive(12, with_person=False)
     _, steps = run(log, KissIcpConfig(use_odometry=True))
     for before, step in pairwise(steps):
-        increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)
+        increment = se2.between(odometry_of(before.scan), odometry_of(step.scan))
         predicted = se2.compose(before.T_map_base, increment)
         np.testing.assert_allclose(step.T_map_base_predicted, predicted, atol=1e-12)
 
@@ -83,7 +83,7 @@ def test_a_laser_occluded_for_long_keeps_the_odometry_of_that_time() -> None:
     log = occluded(drive(30, with_person=False), *range(10, 18))  # 0.64 m
     pipeline, steps = run(log, KissIcpConfig(use_odometry=True))
     for before, step in pairwise(steps[9:18]):
-        increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)
+        increment = se2.between(odometry_of(before.scan), odometry_of(step.scan))
         np.testing.assert_allclose(se2.between(before.T_map_base, step.T_map_base), increment, atol=1e-12)
     assert errors(truth_from_start(log), pipeline.final().T_map_base)[0] < 0.12
 

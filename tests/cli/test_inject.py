@@ -209,7 +209,7 @@ def test_a_log_without_usable_scans_is_refused(
     capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path
 ) -> None:
     arrays = arrays_of(log)
-    arrays["odometry"][:] = np.nan
+    arrays["ranges"][:] = np.nan
     write_npz_log(tmp_path / "blind.npz", **arrays)
     (tmp_path / "trajectory.tum").write_text("")
     arguments = ("inject", tmp_path / "blind.npz", "--people", 1, "--output", tmp_path / "out.npz")

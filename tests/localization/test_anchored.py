@@ -12,7 +12,7 @@ from slammot_graph.core.results import StepResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from tests.rooms import ROOM, ListLog, box, drive, occluded, truth_from_start
+from tests.rooms import ROOM, ListLog, box, drive, occluded, odometry_of, truth_from_start
 
 N_SCANS = 70
 EMPTY_ROOM = ROOM[:4]
@@ -83,7 +83,7 @@ def test_the_tests_covariance_contains_that_of_the_match_before(room: Room) -> N
         assert before.match is not None
         assert is_positive(step.cov_relative - before.match.cov_correlated)
         if step.anchor_scan == before.anchor_scan and before.node is None:
-            increment = se2.between(before.scan.T_odom_base, step.scan.T_odom_base)
+            increment = se2.between(odometry_of(before.scan), odometry_of(step.scan))
             independent = before.cov_anchor_base - before.match.cov_correlated
             noise = PipelineConfig().odometry_noise.covariance(increment)
             expected = se2.compound_covariance(independent, increment, noise) + before.match.cov_correlated

@@ -12,7 +12,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.odometry import Motion, OdometryNoise, WheelOdometry
-from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, truth_from_start
+from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, odometry_of, truth_from_start
 
 N_LOST = 3
 
@@ -121,7 +121,7 @@ def test_a_long_bare_corridor_at_full_range_keeps_to_the_odometry(localizer: Sca
         if match is None:
             continue
         assert match.status == "degenerate"
-        moved = se2.between(log.scans[k - 1].T_odom_base, scan.T_odom_base)[:2]
+        moved = se2.between(odometry_of(log.scans[k - 1]), odometry_of(scan))[:2]
         along += (se2.rotation(heading) @ moved)[0]
         x, y, theta = matched.T_local_base
         assert x == pytest.approx(along, abs=0.03 + 0.02 * along)

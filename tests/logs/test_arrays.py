@@ -134,9 +134,9 @@ def test_wrong_shapes_and_kinds(tmp_path: Path, key: str, value: Any, text: str)
 
 def test_missing_keys_are_listed(tmp_path: Path) -> None:
     arrays = example_arrays()
-    del arrays["stamps"], arrays["odometry"]
+    del arrays["stamps"], arrays["laser_pose"]
     np.savez(tmp_path / "a.npz", **arrays)
-    with pytest.raises(InputError, match="lacks stamps, odometry"):
+    with pytest.raises(InputError, match="lacks stamps, laser_pose"):
         open_log(tmp_path / "a.npz")
 
 

@@ -8,6 +8,7 @@ import pytest
 from slammot_graph.core.errors import InputError
 from slammot_graph.logs import open_log
 from tests.logs.compare import assert_same_scans
+from tests.rooms import odometry_of
 
 pytestmark = pytest.mark.real
 
@@ -22,7 +23,7 @@ def test_intel(recorded_data: Path) -> None:
     steps_s = np.diff([scan.stamp for scan in scans])
     assert np.count_nonzero(steps_s < 0.0) == 631  # the file's order is kept
     assert steps_s.min() == pytest.approx(-0.9, abs=0.05)
-    steps = np.diff([scan.T_odom_base[:2] for scan in scans], axis=0)
+    steps = np.diff([odometry_of(scan)[:2] for scan in scans], axis=0)
     assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(508.0, abs=1.0)
     assert log.skipped == []
     assert any("backward 631 times" in x for x in log.warnings)

@@ -176,6 +176,7 @@ def _thinned(n: int, n_most: int) -> range:
 
 def _uncorrected(last: StepResult, step: StepResult) -> FloatArray:
     """(3,) pose of a step that closed a loop, as it would have been without."""
-    increment = se2.between(last.scan.T_odom_base, step.scan.T_odom_base)
+    before, now = last.scan.T_odom_base, step.scan.T_odom_base
+    increment = se2.IDENTITY if before is None or now is None else se2.between(before, now)
     innovation = se2.between(step.T_map_base_predicted, step.T_map_base)
     return se2.compose(se2.compose(last.T_map_base, increment), innovation)

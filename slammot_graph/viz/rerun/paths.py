@@ -21,10 +21,11 @@ class PathPanel:
         """Send one segment per scan of each path."""
         import rerun as rr
 
-        poses: dict[str, list[FloatArray]] = {
-            "estimate": [step.T_map_base for step in steps],
-            "odom": [step.scan.T_odom_base for step in steps],
-        }
+        poses: dict[str, list[FloatArray]] = {"estimate": [step.T_map_base for step in steps]}
+        odometry = [step.scan.T_odom_base for step in steps]
+        told = [pose for pose in odometry if pose is not None]
+        if len(told) == len(steps):
+            poses["odom"] = told
         truth = [step.scan.truth.T_world_base for step in steps if step.scan.truth is not None]
         known = [pose for pose in truth if pose is not None]
         if len(known) == len(steps):

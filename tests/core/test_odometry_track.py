@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import interp1d
 
+from slammot_graph.core.odometry_track import MAX_GAP_S, MAX_HOLD_S, OdometryTrack
 from slammot_graph.core.types import FloatArray
-from slammot_graph.logs.odometry import MAX_GAP_S, MAX_HOLD_S, OdometryTrack
 
 
 def track(stamps: npt.ArrayLike, poses: npt.ArrayLike) -> OdometryTrack:
@@ -80,3 +80,15 @@ def test_one_sample_is_a_track() -> None:
     odometry = track([5.0], [[1, 2, 0.3]])
     assert odometry.at(5.1) == pytest.approx([1, 2, 0.3])
     assert odometry.at(6.0) is None
+
+
+@given(st.integers(0, 1000))
+def test_many_stamps_are_asked_as_each_of_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamps = np.cumsum(rng.choice([0.1, 0.3, 1.9, 2.5], rng.integers(1, 12)))
+    odometry = track(stamps, rng.normal(0.0, 3.0, (len(stamps), 3)))
+    asked = np.concatenate([rng.uniform(-1.0, stamps[-1] + 1.0, 40), stamps, [np.nan]])
+    found = odometry.at_many(asked)
+    for stamp, pose in zip(asked, found, strict=True):
+        one = odometry.at(float(stamp))
+        np.testing.assert_allclose(pose, np.full(3, np.nan) if one is None else one, atol=1e-12)

@@ -31,7 +31,7 @@ class OdometryTrack:
 
     @classmethod
     def from_samples(cls, stamps: FloatArray, T_odom_base: FloatArray) -> "OdometryTrack":
-        """Make a track of finite samples in any order; of those with equal stamps the first counts.
+        """Make a track of at least one finite sample, in any order; of those with equal stamps the first counts.
 
         Parameters
         ----------
@@ -62,6 +62,23 @@ class OdometryTrack:
             if abs(self.stamps[nearest] - stamp) <= MAX_HOLD_S:
                 return _wrapped(self.T_odom_base[nearest])
         return None
+
+    def at_many(self, stamps: FloatArray) -> FloatArray:
+        """(n, 3) base in odom at times (n,) [s], each as `at` gives it; a row of NaN where that gives None."""
+        after = np.searchsorted(self.stamps, stamps)
+        low, high = (after - 1).clip(0), after.clip(max=len(self.stamps) - 1)
+        gap_s = self.stamps[high] - self.stamps[low]
+        is_between = (gap_s > 0.0) & (gap_s <= MAX_GAP_S)
+        share = np.where(is_between, (stamps - self.stamps[low]) / np.where(is_between, gap_s, 1.0), 0.0)[
+            :, None
+        ]
+        poses: FloatArray = (1.0 - share) * self.T_odom_base[low] + share * self.T_odom_base[high]
+        to_low, to_high = np.abs(self.stamps[low] - stamps), np.abs(self.stamps[high] - stamps)
+        held = np.where((to_low <= to_high)[:, None], self.T_odom_base[low], self.T_odom_base[high])
+        poses = np.where(is_between[:, None], poses, held)
+        poses[:, 2] = se2.wrap_angle(poses[:, 2])
+        poses[~is_between & ~(np.minimum(to_low, to_high) <= MAX_HOLD_S)] = np.nan
+        return poses
 
 
 def _wrapped(pose: FloatArray) -> FloatArray:

@@ -1,0 +1,57 @@
+"""Odometry as it is, and the previous motion where a scan has none: for methods that do not learn."""
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.history import OdometryHistory
+from slammot_graph.odometry.motion import MatchedPose, Motion
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
+
+
+class OdometryOrPreviousMotion:
+    """A `MotionModel`: the odometry where two scans in a row have it, else the previous motion.
+
+    Attributes
+    ----------
+    noise : OdometryNoise or ConstantNoise
+    previous : PreviousMotion
+    T_odom_base : (3,) array
+    """
+
+    def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
+        self.noise = noise
+        self.previous = PreviousMotion(PreviousMotionConfig())
+        self.T_odom_base: FloatArray = se2.IDENTITY
+        self._clock = OdometryHistory()
+        self._T_odom_before: FloatArray | None = None
+        self._T_local_before: FloatArray | None = None
+        self._is_first = True
+
+    def advance(self, scan: Scan) -> Motion | None:
+        """See `MotionModel`."""
+        self._clock.advance(scan.stamp, None, None)
+        before, self._T_odom_before = self._T_odom_before, scan.T_odom_base
+        if self._is_first:
+            self._is_first = False
+            return None
+        if before is None or scan.T_odom_base is None:
+            motion = self.previous.motion(self._clock.step_s)
+        else:
+            increment = se2.between(before, scan.T_odom_base)
+            motion = Motion(increment=increment, cov=self.noise.covariance(increment))
+        self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
+        return motion
+
+    def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
+        """See `MotionModel`; the previous motion learns from what was found, by whichever match."""
+        if self._T_local_before is not None:
+            found = se2.between(self._T_local_before, T_local_base)
+            self.previous.learn(found, FOUND_STD, self._clock.step_s)
+        self._T_local_before = T_local_base
+
+
+FOUND_STD: FloatArray = np.array([0.01, 0.01, 0.005])
+"""Standard deviations of a matched increment."""
