@@ -189,7 +189,7 @@ class ScanStatistics:
             Finding(
                 kind="ranges in millimetres",
                 severity="error",
-                cause=f"ranges look like millimetres: their median is {median:.0f} m",
+                cause=f"ranges look like millimetres: their median, {median:.0f} m, lies beyond what a laser reaches",
                 remedy="divide ranges, range_min and range_max by 1000",
                 data={"median_range_m": median},
             )

@@ -26,6 +26,9 @@ JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.3, 0.5
 """A jump is faster than this, this many times faster than the log mostly is, and this long."""
 
 
+_UNKNOWN = [math.nan] * 3
+
+
 class OdometryStatistics:
     """The increments of the raw odometry, and how far the robot was estimated to get meanwhile.
 
@@ -40,7 +43,6 @@ class OdometryStatistics:
         self.n_scans = 0
         self.n_with_odometry = 0
         self._rows = array("d")
-        self._before: tuple[float, FloatArray | None, FloatArray] | None = None
 
     def add(self, stamp: float, T_odom_base: FloatArray | None, T_map_base: FloatArray) -> None:
         """Take in the next scan.
@@ -56,23 +58,8 @@ class OdometryStatistics:
         """
         self.n_scans += 1
         self.n_with_odometry += T_odom_base is not None
-        if self._before is not None:
-            before, T_odom_before, T_map_before = self._before
-            if T_odom_base is not None and T_odom_before is not None:
-                told = se2.between(T_odom_before, T_odom_base)
-                moved = T_map_base - T_map_before
-                self._rows.extend(
-                    (
-                        self.n_scans - 1.0,
-                        stamp - before,
-                        math.hypot(told[0], told[1]),
-                        abs(float(told[2])),
-                        float(moved[0]),
-                        float(moved[1]),
-                        float(se2.wrap_angle(moved[2])),
-                    )
-                )
-        self._before = stamp, T_odom_base, T_map_base
+        odometry = _UNKNOWN if T_odom_base is None else T_odom_base.tolist()
+        self._rows.extend((stamp, *odometry, *T_map_base.tolist()))
 
     @property
     def distance_m(self) -> float:
@@ -99,7 +86,16 @@ class OdometryStatistics:
     @property
     def _table(self) -> FloatArray:
         """(k, 7) scan number, time step [s], told distance [m] and turn [rad], the estimate's step (x, y, theta)."""
-        return np.array(self._rows, dtype=np.float64).reshape(-1, 7)
+        poses = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
+        before, after = poses[:-1], poses[1:]
+        has_both = np.isfinite(before[:, 1]) & np.isfinite(after[:, 1])
+        before, after = before[has_both], after[has_both]
+        told = se2.between(before[:, 1:4], after[:, 1:4])
+        moved = after[:, 4:] - before[:, 4:]
+        moved[:, 2] = se2.wrap_angle(moved[:, 2])
+        scans = 1.0 + np.flatnonzero(has_both)
+        distance_m, turn_rad = np.hypot(told[:, 0], told[:, 1]), np.abs(told[:, 2])
+        return np.column_stack([scans, after[:, 0] - before[:, 0], distance_m, turn_rad, moved])
 
 
 def n_times(n: int) -> str:

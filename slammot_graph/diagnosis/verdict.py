@@ -57,12 +57,14 @@ def diagnose(
     if report.has_odometry and not is_blind and not kinds & {"no odometry", "odometry never moves"}:
         found += _of_report(report)
     if not is_blind:
-        found += _of_matches(statistics, has_calibration=report.has_odometry)
+        # where it never moves, that is the contradiction
+        may_contradict = report.has_odometry and "odometry never moves" not in kinds
+        found += _of_matches(statistics, may_contradict=may_contradict)
     found += _of_warnings(log_warnings, {finding.kind for finding in found})
     return worst_first(found)
 
 
-def _of_matches(statistics: RunStatistics, *, has_calibration: bool) -> list[Finding]:
+def _of_matches(statistics: RunStatistics, *, may_contradict: bool) -> list[Finding]:
     """What became of the matches."""
     matches, n = statistics.matches, statistics.scans.n_scans
     n_failed, n_matched = matches["failed"], matches["converged"] + matches["degenerate"]
@@ -102,7 +104,7 @@ def _of_matches(statistics: RunStatistics, *, has_calibration: bool) -> list[Fin
                 data={"n_lost": statistics.n_lost},
             )
         )
-    if statistics.n_contradictions and has_calibration:
+    if statistics.n_contradictions and may_contradict:
         n_scans = statistics.health["contradiction"]
         found.append(
             Finding(
