@@ -7,6 +7,7 @@ from types import TracebackType
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResult, TrackState
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.stopwatch import Stopwatch
@@ -16,6 +17,7 @@ from slammot_graph.detection.factory import make_detector
 from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.factory import make_localizer
+from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import track_states
@@ -37,6 +39,7 @@ class Pipeline:
     localizer : Localizer
     detector : Detector
     tracker : Tracker
+    health : HealthMonitor
     grid : OccupancyGrid or None
         The map as it grows; None where it is made from the graph's nodes at the end.
 
@@ -53,6 +56,7 @@ class Pipeline:
         self.grid = None if config.has_graph else OccupancyGrid(config.grid)
         self.detector = make_detector(config.detector, max_range_m=config.max_range_m, map_grid=self.grid)
         self.tracker = make_tracker(config.tracker)
+        self.health = HealthMonitor()
         self._history = ScanHistory()
         self._node_scans = array("q")
         self._stopwatch = Stopwatch()
@@ -100,6 +104,12 @@ class Pipeline:
         watch.lap("map")
         tracks = self._track(scan, detection, points)
         self._remember(scan, is_valid, detection, matched, match)
+        health = self.health.update(
+            scan.index,
+            match,
+            is_lost=committed.is_lost,
+            expects_match=self.config.has_matches,
+        )
         watch.lap("objects")
         T_map_local = self.localizer.T_map_local
         return StepResult(
@@ -121,9 +131,10 @@ class Pipeline:
             innovation_nis=math.nan if match is None else match.nis,
             tracks=tracks,
             node=committed.node,
-            events=committed.events,
+            events=(*committed.events, *health.events),
             stage_ms=watch.read(),
             closures=committed.closures,
+            health=health.state,
         )
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
@@ -143,6 +154,10 @@ class Pipeline:
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""
         return self.localizer.nodes_and_edges()
+
+    def odometry_report(self) -> OdometryReport:
+        """Give what the matches so far tell of the odometry."""
+        return self.localizer.odometry_report()
 
     def final(self) -> FinalEstimate:
         """Give the trajectory and the graph of all scans so far, optimised."""

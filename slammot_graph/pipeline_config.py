@@ -73,6 +73,11 @@ class PipelineConfig(Checked):
         """Whether the localizer keeps a pose graph, from whose nodes the map is made."""
         return isinstance(self.localizer, ScanToMapConfig)
 
+    @property
+    def has_matches(self) -> bool:
+        """Whether the localizer matches scans."""
+        return not isinstance(self.localizer, DeadReckoningConfig)
+
     @staticmethod
     def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: str) -> Mapping[str, Any]:
         """Move values from the flat keys of release 0.1 to those of today; see `from_plain`."""

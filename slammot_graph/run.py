@@ -1,30 +1,30 @@
 """A whole run: a source of scans through a method, step by step, and its result at any time."""
 
 import weakref
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 
 from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
+from slammot_graph.conclusion import Outcome, conclude
 from slammot_graph.core import se2
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.core.events import Event
-from slammot_graph.core.results import GridMap, RunResult, StepResult
+from slammot_graph.core.results import Health, RunResult, StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.diagnosis import RunStatistics, diagnose, limits_of
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs import describe
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import Config, get_method
 from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
-
-T = TypeVar("T")
 
 
 def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
@@ -80,7 +80,7 @@ class Run:
             self.config = replace(self.config, max_range_m=max_range_m)
         self.max_scans = max_scans
         self._observers = Observers(observers)
-        self._session = _Session(make_pipeline(self.config))
+        self._session = _Session.begin(self.config)
         self._steps: weakref.ref[Generator[StepResult, None, None]] | None = None
 
     @property
@@ -105,7 +105,7 @@ class Run:
         """
         self.close()
         if self._session.is_started:
-            self._session = _Session(make_pipeline(self.config))
+            self._session = _Session.begin(self.config)
         self._session.is_started = True
         steps = self._run(self._session)
         self._steps = weakref.ref(steps)
@@ -118,6 +118,7 @@ class Run:
             for scan in islice(self.log, self.max_scans):
                 step = session.pipeline.step(scan)
                 session.kept.keep(step)
+                session.statistics.add(step)
                 self._observers.on_step(step, session.pipeline)
                 yield step
             if not session.kept.scans:
@@ -138,7 +139,7 @@ class Run:
         """Compute what there is at the end, show it to the observers and close all; returns what went wrong."""
         errors: list[Exception] = []
         try:
-            session.outcome = _conclude(session)
+            session.outcome = conclude(session.pipeline, session.kept)
             errors += session.outcome.failures.values()
             if session.is_observed:
                 errors += self._observers.on_finish(self._result(session))
@@ -201,12 +202,13 @@ class Run:
         self.close()
 
     def _result(self, session: "_Session") -> RunResult:
-        outcome = session.outcome or _conclude(session)
+        outcome = session.outcome or conclude(session.pipeline, session.kept)
         kept, final = session.kept, outcome.final
         scans, n = kept.scans, len(kept.scans)
         online = _padded([scan.is_moving for scan in scans])
         is_moving = online if outcome.labels is None else _padded(outcome.labels)
         stage_names = list(dict.fromkeys(name for scan in scans for name in scan.stage_ms))
+        log, report = describe(self.log), session.pipeline.odometry_report()
         T_world_base = [scan.T_world_base for scan in scans if scan.T_world_base is not None]
         return RunResult(
             method=self.method,
@@ -238,8 +240,11 @@ class Run:
             n_skipped=len(_skipped(self.log)),
             events=tuple(kept.events),
             is_complete=session.is_complete and not outcome.failures,
-            log=describe(self.log),
+            log=log,
             failures=tuple(f"{what}: {error}" for what, error in outcome.failures.items()),
+            health=np.array([scan.health for scan in scans], dtype="<U13"),
+            odometry=report,
+            verdict=diagnose(session.statistics, report, log.warnings),
         )
 
 
@@ -260,6 +265,7 @@ class _KeptScan:
     anchor_scan: int
     T_anchor_base: FloatArray
     cov_anchor_base: FloatArray
+    health: Health
 
 
 class _Kept:
@@ -272,6 +278,9 @@ class _Kept:
         self.is_track_seen: list[bool] = []
         self.n_failed = 0
         self.events: list[Event] = []
+
+    def __len__(self) -> int:
+        return len(self.scans)
 
     def keep(self, step: StepResult) -> None:
         if step.is_moving.any():
@@ -292,6 +301,7 @@ class _Kept:
                 anchor_scan=step.anchor_scan,
                 T_anchor_base=step.T_anchor_base,
                 cov_anchor_base=step.cov_anchor_base,
+                health=step.health,
             )
         )
         self.n_failed += step.match is not None and step.match.status == "failed"
@@ -318,61 +328,21 @@ class _Kept:
         return np.concatenate([np.empty((0, 2)), *found])
 
 
-@dataclass(kw_only=True, eq=False)
-class _Outcome:
-    """What is computed at the end of a run from all of it, and what of that failed and why."""
-
-    final: FinalEstimate
-    labels: list[BoolArray] | None
-    grid: GridMap
-    moving_points: FloatArray
-    failures: dict[str, Exception]
-
-
 @dataclass(eq=False)
 class _Session:
     """One pass over the source."""
 
     pipeline: Pipeline | KissIcpPipeline
+    statistics: RunStatistics
     kept: _Kept = field(default_factory=_Kept)
-    outcome: _Outcome | None = None
+    outcome: Outcome | None = None
     is_started: bool = False
     is_observed: bool = False
     is_complete: bool = False
 
-
-def _conclude(session: _Session) -> _Outcome:
-    """Compute the optimised trajectory, the final labels and the map; where one fails, what is known without it."""
-    pipeline, kept = session.pipeline, session.kept
-    failures: dict[str, Exception] = {}
-
-    def attempt(what: str, compute: Callable[[], T], fallback: Callable[[], T]) -> T:
-        try:
-            return compute()
-        except Exception as error:  # what was computed before must not be lost with it
-            failures[what] = error
-            return fallback()
-
-    final = attempt("optimised trajectory", pipeline.final, kept.online_estimate)
-    T_map_base = final.T_map_base
-    labels = attempt("final labels", lambda: pipeline.final_labels(T_map_base), lambda: None)
-    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
-    n = len(kept.scans)
-    # a step that was cut short may have left a pose or a label more
-    labels = None if labels is None else labels[:n]
-
-    def find_moving() -> FloatArray:
-        if isinstance(pipeline, Pipeline) and labels is not None:
-            return pipeline.moving_points(T_map_base, labels)
-        return kept.moving_points(T_map_base)
-
-    moving_points = attempt("moving points", find_moving, lambda: kept.moving_points(T_map_base))
-    final = replace(final, T_map_base=T_map_base[:n], cov_map=final.cov_map[:n])
-    return _Outcome(final=final, labels=labels, grid=grid, moving_points=moving_points, failures=failures)
-
-
-def _no_map(resolution_m: float) -> GridMap:
-    return GridMap(p_occupied=np.full((1, 1), np.nan), resolution_m=resolution_m, origin=np.zeros(2))
+    @classmethod
+    def begin(cls, config: Config) -> Self:
+        return cls(make_pipeline(config), RunStatistics(limits_of(config)))
 
 
 def _skipped(log: Any) -> Sequence[SkippedScan]:

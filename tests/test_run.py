@@ -200,9 +200,15 @@ def test_failures_and_events_are_counted() -> None:
     log = occluded(kidnapped(drive(20), 9), 9)
     result = Run(log, config=PipelineConfig(localizer=ScanToMapConfig(n_lost=2))).complete()
     assert result.events[0].text == "match failed: only 0 points found a partner"
-    assert [event.scan for event in result.events] == [9, 10, 11, 11]
-    assert [event.severity for event in result.events] == ["warning", "warning", "warning", "error"]
+    assert [event.scan for event in result.events] == [9, 10, 11, 11, 16]
+    assert [event.severity for event in result.events] == ["warning", "warning", "warning", "error", "info"]
     assert result.events[3].text == "lost: 2 matches failed in a row, a new local map begins here"
+    assert (
+        result.events[4].text == "recovered: the robot was lost, 5 scans ago; 5 matches in a row agree again"
+    )
+    lost = ["degenerate", "degenerate", *["lost"] * 5, "recovered"]
+    np.testing.assert_array_equal(result.health, [*["healthy"] * 9, *lost, *["healthy"] * 3])
+    assert [finding.kind for finding in result.verdict] == ["lost"]
     assert result.n_failed_matches == 3
     assert np.isnan(result.nis[9:12]).all()
     assert np.isfinite(result.nis[12:]).all()

@@ -8,6 +8,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import GraphEdge, GridMap, StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
@@ -144,6 +145,10 @@ class KissIcpPipeline:
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Pipeline.nodes_and_edges`; there is no graph."""
         return np.empty((0, 3)), ()
+
+    def odometry_report(self) -> OdometryReport:
+        """See `Pipeline.odometry_report`; nothing is estimated."""
+        return OdometryReport()
 
     def final(self) -> FinalEstimate:
         """See `Pipeline.final`."""

@@ -13,6 +13,7 @@ import tyro
 
 from slammot_graph import __version__
 from slammot_graph.cli.calibrating import calibrate_command
+from slammot_graph.cli.checking import check_command
 from slammot_graph.cli.console import (
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -43,8 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 if all went well, 2 after a user's mistake (with one line on stderr) and without a command (with the
-        help), 130 after Ctrl-C.
+        0 if all went well, 1 where `check` found an error in a log, 2 after a user's mistake (with one line on
+        stderr) and without a command (with the help), 130 after Ctrl-C.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     try:
@@ -72,6 +73,7 @@ def _obey(words: list[str]) -> int:
     code: int = tyro.extras.subcommand_cli_from_dict(
         {
             "run": run_command,
+            "check": check_command,
             "view": view_command,
             "animate": animate_command,
             "compare": compare_command,

@@ -8,9 +8,9 @@ import shutil
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 from rich.measure import Measurement
@@ -20,10 +20,12 @@ from rich.table import Table
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
+    from slammot_graph.core.findings import Finding
+    from slammot_graph.core.odometry_report import Estimated, OdometryReport
     from slammot_graph.evaluation import ErrorStats
     from slammot_graph.logs import LaserLog
 
-EXIT_OK, EXIT_USER_ERROR, EXIT_INTERRUPTED = 0, 2, 130
+EXIT_OK, EXIT_FOUND, EXIT_USER_ERROR, EXIT_INTERRUPTED = 0, 1, 2, 130
 PROGRAM = "slammot-graph"
 N_REASONS = 3
 """So many skipped scans and warnings are shown; the rest is counted."""
@@ -94,6 +96,49 @@ def warn(log: "LaserLog") -> None:
             console.print(f"warning: {log.path}: {text}", soft_wrap=True)
         if len(texts) > N_REASONS:
             console.print(f"warning: {log.path}: and {len(texts) - N_REASONS} more {what}", soft_wrap=True)
+
+
+def warn_of(log: "LaserLog", findings: "Iterable[Finding]") -> None:
+    """Show what is wrong, a line each; what is but worth knowing stands in the table alone."""
+    for finding in findings:
+        if finding.severity != "info":
+            stderr().print(f"{finding.severity}: {log.path}: {finding.text}", soft_wrap=True)
+
+
+def odometry_rows(report: "OdometryReport") -> dict[str, str]:
+    """Rows of a table that say what is known of the odometry; what the drive does not tell is left out."""
+    if not report.has_odometry:
+        return {"odometry": "none, predicted by the previous motion"}
+    figures = (
+        ("clock offset", report.clock_offset_s, "s"),
+        ("distance scale", report.distance_scale, ""),
+        ("heading scale", report.heading_scale, ""),
+        ("heading bias", report.heading_bias_rad_per_m, "rad/m"),
+        ("direction", report.direction_rad, "rad"),
+        ("noise scale", report.noise_scale_m, "of the translation"),
+        ("noise scale", report.noise_scale_rad, "of the rotation"),
+    )
+    known = [
+        f"{name} {_with_std(value)} {unit}".rstrip()
+        for name, value, unit in figures
+        if math.isfinite(value.std)
+    ]
+    return {"odometry": "\n".join(known)} if known else {}
+
+
+def source_rows(source: "Mapping[str, Any]") -> dict[str, str]:
+    """Rows of a table that say what of the log is used."""
+    rows = {key.replace("_", " "): str(source[key]) for key in ("scan_topic", "odom_topic") if key in source}
+    if "laser_pose" in source:
+        pose = " ".join(f"{value:.6g}" for value in source["laser_pose"])
+        rows["laser pose"] = f"{pose} (x y yaw [m, m, rad]; {source['laser_pose_from']})"
+    return rows
+
+
+def _with_std(estimated: "Estimated") -> str:
+    """Write a number with as many decimals as its standard deviation has a say in."""
+    n_decimals = 3 if estimated.std <= 0.0 else min(max(1 - math.floor(math.log10(estimated.std)), 0), 6)
+    return f"{estimated.value:.{n_decimals}f} +- {estimated.std:.{n_decimals}f}"
 
 
 @contextlib.contextmanager

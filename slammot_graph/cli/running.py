@@ -22,18 +22,20 @@ from slammot_graph.cli.console import (
     command,
     figure_table,
     number,
+    odometry_rows,
     printed_deprecations,
     scan_progress,
+    source_rows,
     stderr,
     stdout,
     warn,
+    warn_of,
 )
 from slammot_graph.cli.files import LaserPose, OdometrySwitch
 from slammot_graph.cli.logs import write_simulation
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slammot_graph.core.log_info import SourceInfo
     from slammot_graph.core.results import RunResult
     from slammot_graph.logs import LaserLog
     from slammot_graph.observer import Observer
@@ -130,6 +132,7 @@ def run_command(
             f"{log}: no odometry, and the method odometry has nothing else; take another, as graph"
         )
 
+    from slammot_graph.diagnosis import inspect_first, limits_of
     from slammot_graph.run import Run
 
     run = Run(
@@ -140,7 +143,11 @@ def run_command(
         max_scans=max_scans,
         observers=_observers(output, rerun),
     )
+    early = inspect_first(opened, limits_of(run.config))
+    warn_of(opened, early)
     outcome = _execute(run, opened, output, overwrite=overwrite)
+    told = {finding.kind for finding in early}
+    warn_of(opened, [finding for finding in outcome.result.verdict if finding.kind not in told])
     stdout().print(_run_table(outcome))
     return EXIT_INTERRUPTED if outcome.was_interrupted else EXIT_OK
 
@@ -281,7 +288,7 @@ def _run_table(outcome: _Outcome) -> Table:
     table = Table(title=f"{result.method} on {log.path.name}", show_header=False)
     step_ms = result.stage_ms.get("step", np.zeros(0))
     reasons = "; ".join(f"{scan.place}: {scan.reason}" for scan in log.skipped[:N_REASONS])
-    for name, text in _source_rows(source_of(log)).items():
+    for name, text in source_rows(source_of(log)).items():
         table.add_row(name, text)
     table.add_row("scans", f"{len(result.stamps)}{_share_of_log(outcome)}")
     table.add_row("skipped", f"{result.n_skipped}" + (f" ({reasons})" if reasons else ""))
@@ -296,19 +303,23 @@ def _run_table(outcome: _Outcome) -> Table:
     if step_ms.size:
         median, p95 = np.percentile(step_ms, [50, 95])
         table.add_row("ms per scan", f"{median:.2f} median, {p95:.2f} p95")
+    for name, text in odometry_rows(result.odometry).items():
+        table.add_row(name, text)
+    table.add_row("health", _health_cell(result))
+    if result.verdict:
+        table.add_row("verdict", "\n".join(f"{f.severity}: {f.text}" for f in result.verdict))
     names = [name for name in RUN_FILES if (outcome.output / name).exists()]
     table.add_row("files", f"{outcome.output}\n{', '.join(names)}")
     return table
 
 
-def _source_rows(source: "SourceInfo") -> dict[str, str]:
-    """Rows of the table that say what of the log was used."""
-    told = dict(source)
-    rows = {key.replace("_", " "): str(told[key]) for key in SHOWN if key in told}
-    if "laser_pose" in source:
-        pose = " ".join(f"{value:.6g}" for value in source["laser_pose"])
-        rows["laser pose"] = f"{pose} (x y yaw [m, m, rad]; {source['laser_pose_from']})"
-    return rows
+def _health_cell(result: "RunResult") -> str:
+    """Count the scans of each state."""
+    import numpy as np
+
+    states, counts = np.unique(result.health, return_counts=True)
+    shown = sorted(zip(counts.tolist(), states.tolist(), strict=True), reverse=True)
+    return ", ".join(f"{state} {count}" for count, state in shown) or "-"
 
 
 def _share_of_log(outcome: _Outcome) -> str:

@@ -7,6 +7,8 @@ from typing import Any, Literal
 EventKind = Literal[
     "match failed",
     "lost",
+    "contradiction",
+    "recovered",
     "closure accepted",
     "closure waiting",
     "closure refused",
@@ -17,6 +19,8 @@ Severity = Literal["info", "warning", "error"]
 SEVERITIES: Mapping[EventKind, Severity] = {
     "match failed": "warning",
     "lost": "error",
+    "contradiction": "warning",
+    "recovered": "info",
     "closure accepted": "info",
     # routine: each finished local map is compared with several others nearby, most of which show another place
     "closure waiting": "info",
@@ -40,9 +44,21 @@ def _lost(data: Mapping[str, Any]) -> str:
     return f"lost: {why}, a new local map begins here"
 
 
+def _recovered(data: Mapping[str, Any]) -> str:
+    what = "the robot was lost" if data["after"] == "lost" else "odometry and laser contradicted each other"
+    return (
+        f"recovered: {what}, {data['n_scans']} scans ago; {data['n_consistent']} matches in a row agree again"
+    )
+
+
 _TEXTS: Mapping[EventKind, Callable[[Mapping[str, Any]], str]] = {
     "match failed": lambda data: f"match failed: {data['reason']}",
     "lost": _lost,
+    "contradiction": lambda data: (
+        "contradiction: odometry and laser tell of different motions"
+        + (f", {data['reason']}" if data["reason"] else "")
+    ),
+    "recovered": _recovered,
     "closure accepted": lambda data: (
         f"{_pair(data)} accepted" + (f", {data['reason']}" if data["reason"] else "")
     ),
@@ -64,7 +80,9 @@ class Event:
         Index of the scan at which it happened.
     data : mapping
         What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped" or
-        "failed matches") and `n_scans` of a lost robot; `target_node`, `source_node` and `reason` of a closure.
+        "failed matches") and `n_scans` of a lost robot; `reason` of a contradiction; `after` ("contradiction" or
+        "lost"), `n_scans` since then and `n_consistent` of a recovery; `target_node`, `source_node` and
+        `reason` of a closure.
     """
 
     kind: EventKind

@@ -6,13 +6,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event, EventKind, describe, make_event
+from slammot_graph.core.findings import Finding
 from slammot_graph.core.log_info import LogInfo
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 MatchStatus = Literal["converged", "degenerate", "failed"]
+Health = Literal["healthy", "degenerate", "contradiction", "lost", "recovered"]
+"""State of the localization at a scan; `localization.health` says when it is which."""
+
 ClosureStatus = Literal["accepted", "waiting", "refused", "outlier"]
 
 
@@ -47,6 +54,8 @@ class MatchResult:
         consistent); NaN where the match failed or was made without a prediction.
     reason : str
         Why it failed or is degenerate; empty when converged.
+    contradicts_odometry : bool
+        Match and odometry tell of different motions at this scan, whichever of them was believed.
     """
 
     status: MatchStatus
@@ -190,6 +199,7 @@ class StepResult:
         Loop closures tried at this scan.
     stage_ms : mapping
         Time of each stage [ms]; the whole step under "step".
+    health : "healthy", "degenerate", "contradiction", "lost" or "recovered"
     """
 
     scan: Scan
@@ -213,6 +223,7 @@ class StepResult:
     events: tuple[Event, ...]
     stage_ms: Mapping[str, float]
     closures: tuple[ClosureAttempt, ...] = ()
+    health: Health = "healthy"
 
     @property
     def point_cov_map(self) -> FloatArray:
@@ -291,6 +302,12 @@ class RunResult:
         The log that was run.
     failures : tuple of str
         What could not be computed at the end, and why: "map: ..."; in its place is what is known without it.
+    health : (n,) array of str
+        `StepResult.health` of each scan.
+    odometry : OdometryReport
+        Calibration of the odometry against the matches.
+    verdict : tuple of Finding
+        What is wrong with the log or the run, the worst first; empty where nothing is.
     """
 
     method: str
@@ -322,6 +339,9 @@ class RunResult:
     is_complete: bool = True
     log: LogInfo = field(default_factory=LogInfo)
     failures: tuple[str, ...] = ()
+    health: Any = field(default_factory=lambda: np.empty(0, dtype="<U13"))
+    odometry: OdometryReport = field(default_factory=OdometryReport)
+    verdict: tuple[Finding, ...] = ()
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

@@ -8,6 +8,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event
 from slammot_graph.core.linalg import fused
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
@@ -108,6 +109,9 @@ class Localizer(Protocol):
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """Keep the scan: in the graph and the local map where it brings something new."""
+
+    def odometry_report(self) -> OdometryReport:
+        """Give what the matches so far tell of the odometry."""
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""

@@ -3,6 +3,7 @@
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
@@ -48,6 +49,10 @@ class DeadReckoning:
         self.model.correct(self.estimate.T_local_base, None)
         self._history.append(self.estimate)
         return CommitResult()
+
+    def odometry_report(self) -> OdometryReport:
+        """See `Localizer`; nothing is estimated."""
+        return OdometryReport()
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`; there is no graph."""

@@ -68,8 +68,8 @@ class MapMatching:
 
         A match with which most of the scan's returns agree may contradict the prediction: the covariance of the motion
         is stretched as Student's t asks for. Where fewer agree than usual, the prediction may be wrong, and with it
-        what was called moving there: all returns (`is_valid`) are matched from other starts. Where no pose is agreed by most
-        of them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds.
+        what was called moving there: all returns (`is_valid`) are matched from other starts. Where no pose is agreed by
+        most of them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds.
 
         A match with a narrower kernel that fails is made again with the usual one.
         """

@@ -1,9 +1,12 @@
 """Our localization: scans matched onto the local map, keyframes joined in the pose graph."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event, make_event
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
@@ -84,6 +87,8 @@ class ScanToMap:
             self._match, self.propagation.state = self.matching.match(
                 points_base, is_static, start, kernel_factor, is_valid
             )
+            if self.propagation.model.is_contradicted:
+                self._match = replace(self._match, contradicts_odometry=True)
         return self._estimate(), self._match
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
@@ -114,6 +119,10 @@ class ScanToMap:
             closures=closures,
             events=(*events, *(attempt.event(scan.index) for attempt in closures)),
         )
+
+    def odometry_report(self) -> OdometryReport:
+        """See `Localizer`."""
+        return self.propagation.model.report()
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`."""

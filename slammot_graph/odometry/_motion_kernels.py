@@ -26,7 +26,7 @@ def prediction_error2(predicted: FloatArray, found: FloatArray, lever_m: float, 
     e = np.empty(3)
     relative(predicted, found, e)
     error2 = e[0] * e[0] + e[1] * e[1] + (lever_m * e[2]) * (lever_m * e[2])
-    return min(error2, cap_m * cap_m)
+    return float(min(error2, cap_m * cap_m))
 
 
 @kernel
@@ -39,7 +39,7 @@ def normalised_error2(
     total = 0.0
     for i in range(3):
         total += e[i] * e[i] / (cov_predicted[i, i] + cov_found[i, i])
-    return total / 3.0
+    return float(total / 3.0)
 
 
 @kernel
@@ -74,7 +74,7 @@ def heavy_tail_scale(
                 gain[i, j] = scale * total
         w = gain @ innovation
         # E[w' inv(Q) w] = w' inv(Q) w + trace(inv(Q) (sQ - K sQ)) = w' inv(Q) w + s (3 - trace(K))
-        expected = w @ (inverse_motion @ w) + scale * (3.0 - gain[0, 0] - gain[1, 1] - gain[2, 2])
+        expected = float(w @ (inverse_motion @ w)) + scale * (3.0 - gain[0, 0] - gain[1, 1] - gain[2, 2])
         new = (dof + expected) / (dof + 3.0)
         if abs(new - scale) < 0.01 * scale:
             return max(new, 1.0)

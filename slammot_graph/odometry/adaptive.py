@@ -132,6 +132,11 @@ class AdaptiveOdometry:
         self._T_local_before = T_local_base
         self._match_before = (now_s, match) if match is not None and match.is_reliable else None
 
+    @property
+    def is_contradicted(self) -> bool:
+        """See `MotionModel`."""
+        return self._record.told is not None and not self._record.is_odometry_used
+
     def report(self) -> OdometryReport:
         """What was found out so far."""
         now, record = self.calibration.now, self._record
@@ -176,7 +181,7 @@ class AdaptiveOdometry:
         dx, dy, turn = (told.increment - previous.increment).tolist()
         if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
             return False
-        return abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05
+        return bool(abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05)
 
     def _learn(self, T_before: FloatArray, match: MatchedPose) -> None:
         """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""
@@ -241,6 +246,7 @@ class _Record:
         self.n_by_previous = 0
         self.n_impossible = 0
         self.has_odometry = False
+        self.is_odometry_used = True
         self.told: Motion | None = None
         self.previous: FloatArray = np.zeros(3)
         self.excess = 0.0
@@ -255,6 +261,7 @@ class _Record:
 
     def count(self, *, use_odometry: bool, is_possible: bool) -> None:
         """Count what was used."""
+        self.is_odometry_used = use_odometry
         self.n_by_odometry += use_odometry
         self.n_by_previous += not use_odometry
         self.n_impossible += not is_possible

@@ -89,9 +89,11 @@ class OdometryCalibration:
         scale, direction = self.distance_scale.value, self.direction_rad.value
         c, s = scale * math.cos(direction), scale * math.sin(direction)
         if increments.ndim == 1:
-            x, y, turn = increments.tolist()
-            bias = self.heading_bias_rad_per_m.value * math.hypot(x, y)
-            return np.array([c * x - s * y, s * x + c * y, self.heading_scale.value * turn + bias])
+            forward, left, angle = increments.tolist()
+            added = self.heading_bias_rad_per_m.value * math.hypot(forward, left)
+            return np.array(
+                [c * forward - s * left, s * forward + c * left, self.heading_scale.value * angle + added]
+            )
         x, y, turn = increments[..., 0], increments[..., 1], increments[..., 2]
         bias = self.heading_bias_rad_per_m.value * np.hypot(x, y)
         return np.stack([c * x - s * y, s * x + c * y, self.heading_scale.value * turn + bias], axis=-1)
@@ -230,7 +232,7 @@ class SelfCalibration:
 
     def _stds(self, rows: FloatArray) -> FloatArray:
         least = self.config.min_std_m**2, self.config.min_std_rad**2
-        return np.sqrt(rows[:, 5:7] + np.array(least))
+        return np.asarray(np.sqrt(rows[:, 5:7] + np.array(least)))
 
     def _heading_prior(self) -> tuple[FloatArray, FloatArray]:
         return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.bias_std_rad_per_m])
@@ -386,14 +388,15 @@ def _robust_fit(A: FloatArray, y: FloatArray, std: FloatArray, prior: tuple[Floa
     """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x."""
     mean, prior_std = prior
     prior_information = np.diag(prior_std**-2.0)
-    x, information = mean, prior_information
+    x: FloatArray = mean
+    information: FloatArray = prior_information
     residuals = y - A @ x
     for _ in range(4):
         scaled2 = np.square(residuals / std)
         weights = (DOF + 1.0) / (DOF + scaled2) / np.square(std)
         weighted = A * weights[:, None]
         information = weighted.T @ A + prior_information
-        x = np.linalg.solve(information, weighted.T @ y + prior_information @ mean)
+        x = np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
         residuals = y - A @ x
     cost = 0.5 * (DOF + 1.0) * float(np.log1p(np.square(residuals / std) / DOF).sum())
     return _Fit(x, information, residuals, cost)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.history import OdometryHistory
@@ -20,6 +21,8 @@ class OdometryOrPreviousMotion:
     previous : PreviousMotion
     T_odom_base : (3,) array
     """
+
+    is_contradicted = False
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise
@@ -51,6 +54,10 @@ class OdometryOrPreviousMotion:
             found = se2.between(self._T_local_before, T_local_base)
             self.previous.learn(found, FOUND_STD, self._clock.step_s)
         self._T_local_before = T_local_base
+
+    def report(self) -> OdometryReport:
+        """See `MotionModel`; nothing is estimated."""
+        return OdometryReport()
 
 
 FOUND_STD: FloatArray = np.array([0.01, 0.01, 0.005])

@@ -11,6 +11,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.motion import MatchedPose, Motion
@@ -24,6 +25,10 @@ class MotionModel(Protocol):
     def T_odom_base(self) -> FloatArray:
         """(3,) dead-reckoned pose at the scan of the last `advance`; where its frame lies does not matter."""
 
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether there is odometry at the latest scan that cannot be believed."""
+
     def advance(self, scan: Scan) -> Motion | None:
         """Move on to the next scan: the motion since the one before, None at the first."""
 
@@ -32,6 +37,9 @@ class MotionModel(Protocol):
 
         A model that predicts from earlier motion or calibrates itself learns from this.
         """
+
+    def report(self) -> OdometryReport:
+        """Give what was found out about the odometry."""
 
 
 class WheelOdometry:
@@ -42,6 +50,8 @@ class WheelOdometry:
     noise : OdometryNoise or ConstantNoise
     T_odom_base : (3,) array
     """
+
+    is_contradicted = False
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise
@@ -70,6 +80,10 @@ class WheelOdometry:
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`; nothing is learnt."""
+
+    def report(self) -> OdometryReport:
+        """See `MotionModel`."""
+        return OdometryReport()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

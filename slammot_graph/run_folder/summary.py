@@ -7,18 +7,21 @@ from contextlib import suppress
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from slammot_graph.core.errors import InputError
-from slammot_graph.core.results import RunResult
+from slammot_graph.core.results import Health, RunResult
+from slammot_graph.core.strict_json import strict_json
 from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import path_length, run_consistency
 from slammot_graph.run_folder.atomic import write_text
 
 MAX_EVENTS = 200
 """So many events are named in ``summary.json``; the rest is counted."""
+MAX_INTERVALS = 200
+"""So many intervals of scans that are not healthy are named; the rest is in the counts."""
 PACKAGES = (
     "gtsam",
     "numpy",
@@ -60,6 +63,9 @@ def summarize_run(result: RunResult) -> dict[str, Any]:
         "stages_ms": {stage: _figures(took) for stage, took in result.stage_ms.items()},
         "scans_per_s": 1e3 * len(step_ms) / float(step_ms.sum()) if step_ms.sum() > 0.0 else None,
         "peak_memory_mb": _peak_memory_mb(),
+        "health": _health(result),
+        "odometry": asdict(result.odometry),
+        "verdict": [{**asdict(finding), "text": finding.text} for finding in result.verdict],
         "n_events": len(result.events),
         "events": [{**asdict(event), "text": event.text} for event in result.events[:MAX_EVENTS]],
     }
@@ -73,7 +79,7 @@ def write_summary(path: Path, result: RunResult) -> None:
     InputError
         The file cannot be written.
     """
-    summary = json.dumps(_strict(summarize_run(result)), indent=2, allow_nan=False, ensure_ascii=False)
+    summary = json.dumps(strict_json(summarize_run(result)), indent=2, allow_nan=False, ensure_ascii=False)
     write_text(path, [summary])
 
 
@@ -105,6 +111,23 @@ def _figures(values: FloatArray, *, with_mean: bool = False) -> dict[str, float 
     return {"median": median, **({"mean": float(known.mean())} if with_mean else {}), "p95": p95}
 
 
+def _health(result: RunResult) -> dict[str, Any]:
+    """Count the scans of each state, and name the intervals of scans that are not healthy: first and last index."""
+    health = result.health
+    starts = np.flatnonzero(np.append(True, health[1:] != health[:-1])) if len(health) else np.empty(0, int)
+    ends = np.append(starts[1:], len(health)) - 1
+    intervals = [
+        {"state": str(health[first]), "first": int(first), "last": int(last)}
+        for first, last in zip(starts, ends, strict=True)
+        if health[first] != "healthy"
+    ]
+    return {
+        "counts": {state: int(np.count_nonzero(health == state)) for state in get_args(Health)},
+        "n_intervals": len(intervals),
+        "intervals": intervals[:MAX_INTERVALS],
+    }
+
+
 def _versions() -> dict[str, str]:
     from slammot_graph import __version__
 
@@ -128,16 +151,3 @@ def _peak_memory_mb() -> float | None:
         return None
     unit = 2**20 if platform.system() == "Darwin" else 2**10
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
-
-
-def _strict(value: Any) -> Any:
-    """Turn what JSON does not know into what it does: undefined and infinite numbers become null."""
-    if isinstance(value, Mapping):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_strict(item) for item in value]
-    if isinstance(value, np.generic):
-        return _strict(value.item())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value

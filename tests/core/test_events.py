@@ -62,3 +62,19 @@ def test_a_closure_attempt_reads_like_its_event(status: ClosureStatus, reason: s
     assert event.scan == 77
     assert event.kind.startswith("closure ")
     assert (event.data["target_node"], event.data["source_node"]) == (12, 340)
+
+
+def test_a_contradiction_and_its_end() -> None:
+    begun = make_event("contradiction", 3, reason="the wheels tell of 2 m in 0.1 s")
+    assert (
+        begun.text
+        == "contradiction: odometry and laser tell of different motions, the wheels tell of 2 m in 0.1 s"
+    )
+    assert make_event("contradiction", 3, reason="").text.endswith("different motions")
+    for after, words in (
+        ("lost", "the robot was lost"),
+        ("contradiction", "odometry and laser contradicted each other"),
+    ):
+        ended = make_event("recovered", 20, after=after, n_scans=17, n_consistent=5)
+        assert ended.text == f"recovered: {words}, 17 scans ago; 5 matches in a row agree again"
+        assert ended.severity == "info"

@@ -53,6 +53,17 @@ ATTEMPT_COLORS: Mapping[ClosureStatus, int] = {
     "outlier": 0xD62728FF,
 }
 
+STATE_COLORS: Mapping[str, Mapping[str, int]] = {
+    "match": {"converged": 0x4CAF50FF, "degenerate": 0xF2A900FF, "failed": COLOR_MOVING, "none": 0x777777FF},
+    "health": {
+        "healthy": 0x4CAF50FF,
+        "degenerate": 0xF2A900FF,
+        "contradiction": 0xC2185BFF,
+        "lost": COLOR_MOVING,
+        "recovered": 0x2196F3FF,
+    },
+}
+
 STATIC, MOVING, DOUBTFUL = 1, 2, 3
 """Classes of points; doubtful are those called static although they more probably moved."""
 COLOR_DOUBTFUL, COLOR_RECENT = 0xF2A900FF, 0x4A4A4AFF
@@ -143,11 +154,9 @@ def log_style(rec: "rr.RecordingStream") -> None:
         line(closure_path(status), color, 1.0 if status == "refused" else 2.5)
         style(closure_path(status), rr.LineStrips3D.from_fields(show_labels=False))
     line("/world/closures/graph_before", COLOR_BEFORE, 1.5)
-    states = {"converged": 0x4CAF50FF, "degenerate": 0xF2A900FF, "failed": COLOR_MOVING, "none": 0x777777FF}
-    style(
-        "/state/match",
-        rr.StateConfiguration(values=list(states), colors=np.array(list(states.values()), np.uint32)),
-    )
+    for name, states in STATE_COLORS.items():
+        colors = np.array(list(states.values()), np.uint32)
+        style(f"/state/{name}", rr.StateConfiguration(values=list(states), colors=colors))
 
 
 def make_blueprint(
@@ -249,7 +258,9 @@ def make_blueprint(
             rrb.Vertical(
                 rrb.Tabs(scan_view, graph_view, active_tab=0),
                 rrb.Tabs(*plots, active_tab=0),
-                rrb.StateTimelineView(origin="/state", name="State of the match", time_view=at_all_times()),
+                rrb.StateTimelineView(
+                    origin="/state", name="State of match and health", time_view=at_all_times()
+                ),
                 rrb.Tabs(*texts, active_tab=0),
                 row_shares=[10, 8, 3, 6],
             ),

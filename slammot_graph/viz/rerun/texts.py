@@ -1,12 +1,12 @@
 """The texts of a recording: events, the state of the match, legend, configuration and summary."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from slammot_graph.core.events import Severity
-from slammot_graph.core.results import RunResult, StepResult
+from slammot_graph.core.results import Health, RunResult, StepResult
 from slammot_graph.viz.rerun.columns import Columns, times_of
 
 LEVELS: Mapping[Severity, str] = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
@@ -43,14 +43,14 @@ read why. The panel for it opens with the button at the top right.
 
 
 class TextPanel:
-    """Events, and the match's state where it changes."""
+    """Events, and the states of the match and of the localization where they change."""
 
     def __init__(self, out: Columns) -> None:
         self._out = out
-        self._state = ""
+        self._states = {"match": "", "health": ""}
 
     def send(self, steps: list[StepResult]) -> None:
-        """Send events, and the match's state where it changes."""
+        """Send events, and the states where they change."""
         import rerun as rr
 
         times = times_of(steps)
@@ -60,13 +60,14 @@ class TextPanel:
             texts = [f"scan {event.scan}: {event.text}" for event in events]  # the view cuts its own column
             levels = [LEVELS[event.severity] for event in events]
             self._out.send("/log/events", times[row_of], rr.TextLog.columns(text=texts, level=levels))
-        states = ["none" if step.match is None else step.match.status for step in steps]
-        before = [self._state, *states[:-1]]
-        changes = [row for row, state in enumerate(states) if state != before[row]]
-        if changes:
-            changed = rr.StateChange.columns(state=[states[row] for row in changes])
-            self._out.send("/state/match", times[changes], changed)
-        self._state = states[-1]
+        matches = ["none" if step.match is None else step.match.status for step in steps]
+        for name, states in (("match", matches), ("health", [step.health for step in steps])):
+            before = [self._states[name], *states[:-1]]
+            changes = [row for row, state in enumerate(states) if state != before[row]]
+            if changes:
+                changed = rr.StateChange.columns(state=[states[row] for row in changes])
+                self._out.send(f"/state/{name}", times[changes], changed)
+            self._states[name] = states[-1]
 
 
 def config_table(config: Mapping[str, Any]) -> str:
@@ -96,4 +97,10 @@ def summary_text(result: RunResult) -> str:
     for stage, took in result.stage_ms.items():
         if np.isfinite(took).any():
             lines.append(f"| {stage} | {np.nanmedian(took):.3f} ms in the median |")
+    for state in get_args(Health):
+        n_scans = int(np.count_nonzero(result.health == state))
+        if n_scans and state != "healthy":
+            lines.append(f"| {state} | {n_scans} scans |")
+    if result.verdict:
+        lines += ["", "## Verdict", *(f"- {finding.severity}: {finding.text}" for finding in result.verdict)]
     return "\n".join(lines)

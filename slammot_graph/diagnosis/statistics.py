@@ -1,0 +1,51 @@
+"""What a run gathers, scan by scan, for its verdict: scans, raw odometry, matches and health."""
+
+from collections import Counter
+
+from slammot_graph.core.results import Health, MatchStatus, StepResult
+from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
+from slammot_graph.diagnosis.odometry import OdometryStatistics
+
+
+class RunStatistics:
+    """Figures of a run, gathered one step after the other; cheap.
+
+    Attributes
+    ----------
+    limits : MatchLimits
+    scans : ScanStatistics
+    odometry : OdometryStatistics
+    matches : Counter
+        Scans by the status of their match; "none" where there was none.
+    health : Counter
+        Scans by their state.
+    n_lost : int
+        How often the robot was lost.
+    n_contradictions : int
+        How often match and odometry began to contradict each other.
+    first_contradiction : int or None
+        Its scan.
+    """
+
+    def __init__(self, limits: MatchLimits) -> None:
+        self.limits = limits
+        self.scans = ScanStatistics(limits)
+        self.odometry = OdometryStatistics()
+        self.matches: Counter[MatchStatus | str] = Counter()
+        self.health: Counter[Health] = Counter()
+        self.n_lost = 0
+        self.n_contradictions = 0
+        self.first_contradiction: int | None = None
+
+    def add(self, step: StepResult) -> None:
+        """Take in the next step."""
+        self.scans.add(step.scan)
+        self.odometry.add(step.scan.stamp, step.scan.T_odom_base, step.T_map_base)
+        self.matches["none" if step.match is None else step.match.status] += 1
+        self.health[step.health] += 1
+        for event in step.events:
+            self.n_lost += event.kind == "lost"
+            if event.kind == "contradiction":
+                self.n_contradictions += 1
+                if self.first_contradiction is None:
+                    self.first_contradiction = event.scan

@@ -1,0 +1,66 @@
+from slammot_graph.core.events import Event
+from slammot_graph.core.results import Health, MatchResult
+from slammot_graph.localization.health import HealthMonitor
+from tests.localization.matches import FAILED, IMPROBABLE, MATCH, match_with
+
+DEGENERATE = match_with(status="degenerate")
+AGAINST = match_with(contradicts_odometry=True)
+N = 3
+
+
+def follow(*matches: MatchResult | None, lost_at: int = -1) -> tuple[list[Health], list[Event]]:
+    """States and events after a first scan, which has no match."""
+    monitor = HealthMonitor(N)
+    updates = [
+        monitor.update(scan, match, is_lost=scan == lost_at) for scan, match in enumerate((None, *matches))
+    ]
+    return [update.state for update in updates[1:]], [event for update in updates for event in update.events]
+
+
+def test_what_converges_is_healthy_and_what_leaves_something_open_degenerate() -> None:
+    states, events = follow(MATCH, DEGENERATE, FAILED, None, MATCH)
+    assert states == ["healthy", "degenerate", "degenerate", "degenerate", "healthy"]
+    assert events == []
+
+
+def test_the_first_scan_has_nothing_to_match_onto() -> None:
+    assert HealthMonitor().update(0, None, is_lost=False).state == "healthy"
+
+
+def test_a_method_without_matches_is_healthy() -> None:
+    monitor = HealthMonitor()
+    updates = [monitor.update(k, None, is_lost=False, expects_match=False) for k in range(3)]
+    assert [update.state for update in updates] == ["healthy"] * 3
+
+
+def test_a_contradiction_ends_after_some_matches_that_agree() -> None:
+    states, events = follow(AGAINST, AGAINST, MATCH, MATCH, MATCH, MATCH)
+    assert states == [*["contradiction"] * 4, "recovered", "healthy"]
+    assert [(event.kind, event.scan, event.severity) for event in events] == [
+        ("contradiction", 1, "warning"),
+        ("recovered", 5, "info"),
+    ]
+    assert dict(events[1].data) == {"after": "contradiction", "n_scans": 4, "n_consistent": N}
+
+
+def test_a_match_that_was_refused_contradicts() -> None:
+    assert follow(IMPROBABLE)[0] == ["contradiction"]
+
+
+def test_another_contradiction_or_a_failure_begins_the_row_anew() -> None:
+    for between in (AGAINST, FAILED):
+        states, events = follow(AGAINST, MATCH, MATCH, between, MATCH, MATCH, MATCH)
+        assert states == [*["contradiction"] * 6, "recovered"]
+        assert len(events) == 2
+
+
+def test_a_degenerate_match_neither_counts_nor_breaks_the_row() -> None:
+    states, _ = follow(AGAINST, MATCH, DEGENERATE, MATCH, DEGENERATE, MATCH)
+    assert states == [*["contradiction"] * 5, "recovered"]
+
+
+def test_a_contradiction_may_end_in_being_lost() -> None:
+    states, events = follow(AGAINST, FAILED, MATCH, AGAINST, MATCH, MATCH, MATCH, lost_at=2)
+    assert states == ["contradiction", *["lost"] * 5, "recovered"]
+    assert [event.kind for event in events] == ["contradiction", "recovered"]  # "lost" is the localizer's own
+    assert dict(events[1].data) == {"after": "lost", "n_scans": 5, "n_consistent": N}
