@@ -12,10 +12,8 @@ from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.innovation_gate import InnovationGate
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry.propagation import MotionState
-from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
-
-_Matched = tuple[MatchResult, FloatArray, FloatArray]
-"""A match, the pose (3,) in the local frame and its independent covariance (3, 3)."""
+from slammot_graph.registration.base import Match, MatchPrior
+from slammot_graph.registration.factory import make_matcher
 
 
 class MapMatching:
@@ -26,12 +24,14 @@ class MapMatching:
     config : ScanToMapConfig
     local_map : LocalMap
         Must hold a keyframe.
+    matcher : Matcher
     gate : InnovationGate
     """
 
     def __init__(self, config: ScanToMapConfig, local_map: LocalMap) -> None:
         self.config = config
         self.local_map = local_map
+        self.matcher = make_matcher(config.point_to_line)
         self.gate = InnovationGate(config.point_to_line.max_nis, config.max_counted_nis, config.nis_gain)
         self._laser_base: FloatArray = np.zeros(2)
         self._T_local_before: FloatArray = se2.IDENTITY
@@ -56,16 +56,14 @@ class MapMatching:
 
         A match with a narrower kernel that fails is made again with the usual one.
         """
-        config = self.config.point_to_line
-        if kernel_factor != 1.0:
-            config = replace(config, kernel_scale_m=kernel_factor * config.kernel_scale_m)
         state = start
-        match, T_local_base, cov_independent = self._match_from(
-            points_base, is_static, state.T_local_base, state.cov_prior, state.cov_independent, config
+        prior = MatchPrior(
+            T_a_base=state.T_local_base, cov=state.cov_prior, cov_independent=state.cov_independent
         )
+        match, T_local_base, cov_independent = self._match_from(prior, points_base, is_static, kernel_factor)
         nis = 0.0 if match.status == "failed" else match.nis
         if self._looks_like_jump(match, nis):
-            second = self._match_without_odometry(points_base, is_static, match, config)
+            second = self._match_without_odometry(points_base, is_static, match, kernel_factor)
             if second is not None:
                 match, T_local_base, cov_independent = second
                 wide = self.config.lost_cov
@@ -82,23 +80,10 @@ class MapMatching:
         return match, state
 
     def _match_from(
-        self,
-        points_base: FloatArray,
-        is_static: BoolArray,
-        T_local_base: FloatArray,
-        cov: FloatArray,
-        cov_independent: FloatArray,
-        config: PointToLineConfig,
-    ) -> _Matched:
-        return match_to_local_map(
-            points_base,
-            is_static,
-            self._laser_base,
-            self.local_map,
-            T_local_base,
-            cov,
-            config,
-            cov_independent,
+        self, prior: MatchPrior, points_base: FloatArray, is_static: BoolArray, kernel_factor: float
+    ) -> Match:
+        return self.matcher.match(
+            self.local_map, points_base, is_static, self._laser_base, prior, kernel_factor=kernel_factor
         )
 
     def _looks_like_jump(self, match: MatchResult, nis: float) -> bool:
@@ -108,16 +93,13 @@ class MapMatching:
         return match.inlier_ratio < self.config.jump_inlier_ratio and nis > self.config.jump_nis
 
     def _match_without_odometry(
-        self, points_base: FloatArray, is_static: BoolArray, doubtful: MatchResult, config: PointToLineConfig
-    ) -> _Matched | None:
+        self, points_base: FloatArray, is_static: BoolArray, doubtful: MatchResult, kernel_factor: float
+    ) -> Match | None:
         """Match again from where the robot was before; None where that is not clearly better."""
-        wide = self.config.lost_cov
-        match, T_local_base, cov = self._match_from(
-            points_base, is_static, self._T_local_before, wide, wide, config
-        )
+        prior = MatchPrior(T_a_base=self._T_local_before, cov=self.config.lost_cov)
+        second = self._match_from(prior, points_base, is_static, kernel_factor)
         needed = self.config.jump_inlier_ratio
         if doubtful.status != "failed":
             needed = max(needed, doubtful.inlier_ratio + self.config.jump_inlier_gain)
-        if match.status != "failed" and match.inlier_ratio > needed:
-            return match, T_local_base, cov
-        return None
+        is_better = second.result.status != "failed" and second.result.inlier_ratio > needed
+        return second if is_better else None
