@@ -202,10 +202,9 @@ def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> _
 @cache
 def _announce_compilation() -> None:
     """Say, once per process, why the first scan takes its time where the machine code is not there yet."""
-    from slammot_graph.core._numba import is_compiled
-    from slammot_graph.registration._solve_kernels import match_point_to_line
+    from slammot_graph import run
 
-    if not is_compiled(match_point_to_line):
+    if not run.has_compiled_kernels():
         stderr().print(
             "compiling the kernels, once: the first scans take about half a minute", soft_wrap=True
         )
