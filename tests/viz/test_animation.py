@@ -8,7 +8,8 @@ import pytest
 from PIL.GifImagePlugin import GifImageFile
 
 from slammot_graph import Run
-from slammot_graph.run_folder.reader import RunFolder, read_run_folder
+from slammot_graph.core.saved_run import RunFolder
+from slammot_graph.run_folder.reader import read_run_folder
 from slammot_graph.run_folder.writer import write_run_folder
 from slammot_graph.viz.animation import _Stage, write_animation
 from slammot_graph.viz.colors import track_color

@@ -25,7 +25,7 @@ from tests.walkers import write_walkers
 N_SCANS = 170
 """So many of two-walkers: straight on along x, then a turn to the left."""
 SCAN = 160
-ARTIFACTS = Path(os.environ.get("SLAMMOT_ARTIFACTS") or Path(__file__).parents[2] / "build" / "artifacts")
+ARTIFACTS = Path(os.environ.get("SLAMMOT_ARTIFACTS") or Path(__file__).parents[3] / "build" / "artifacts")
 """Where the pictures are put."""
 PACKAGES = "apt-get install mesa-vulkan-drivers libvulkan1"
 MAX_WAIT_S = 10.0
