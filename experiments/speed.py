@@ -33,6 +33,7 @@ from slammot_graph.detection import _cluster_kernels, _kernels
 from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
+from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
 from slammot_graph.run import make_pipeline
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
@@ -154,13 +155,17 @@ def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
                 kernel = getattr(module, name)
                 wrapped = timed(name, kernel, repeat=name in REPEATED)
                 patches.enter_context(patch.object(module, name, wrapped))
-        pipeline = make_pipeline(get_method("graph").config)
+        config = get_method("graph").config
+        assert isinstance(config, PipelineConfig)
+        pipeline = Pipeline(config)
+        tested = pipeline.detector.grid
+        assert tested is not None
         for scan in scans:
             in_step.clear()
             again.clear()
             step = pipeline.step(replace(scan))
             n_points = int(np.count_nonzero(step.is_valid & ~step.is_moving))
-            touched = int(np.count_nonzero(pipeline.detector.grid.stamp == scan.index))
+            touched = int(np.count_nonzero(tested.stamp == scan.index))
             rows.append(
                 {
                     "step": 1e3 * step.stage_ms["step"] - sum(again.values()),

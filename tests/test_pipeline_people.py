@@ -22,9 +22,8 @@ from tests.rooms import LASER, box, drive, errors, take_scan, truth_from_start
 
 # a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
 YARD = np.vstack([[[-6, 4, 0, 4], [-6, -4, -6, 4], [-6, -4, 6, -4], [6, -4, 6, 0]], box(-4, -3, -3, -2)])
-QUIET = PipelineConfig(  # open space stays unknown
-    detector=EllipseDetectorConfig(local_grid=LocalGridConfig(no_return=None))
-)
+BLIND_TO_NO_RETURNS = EllipseDetectorConfig(local_grid=LocalGridConfig(no_return=None))
+QUIET = PipelineConfig(detector=BLIND_TO_NO_RETURNS)  # open space stays unknown
 N_EMPTY = 20
 
 
@@ -74,7 +73,7 @@ def test_who_walks_into_the_unknown_stays_moving() -> None:
 
 
 def test_without_a_reach_nobody_moves_in_the_unknown() -> None:
-    blind = replace(QUIET.detector, ellipse_test=EllipseTestConfig(track_reach_m=None))
+    blind = replace(BLIND_TO_NO_RETURNS, ellipse_test=EllipseTestConfig(track_reach_m=None))
     steps = watch(WALK, replace(QUIET, detector=blind))
     assert recall(steps, 0, WALK_X, -2.0, -0.5) > 0.9
     assert recall(steps, 0, WALK_X, 0.4, 0.9) < 0.4

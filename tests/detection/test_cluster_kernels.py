@@ -79,7 +79,7 @@ def random_limits(rng: np.random.Generator) -> ClusterConfig:
         min_points=int(rng.integers(1, 5)),
         max_x_range_m=rng.choice([0.5, 1.0, 1.5]),
         max_y_range_m=rng.choice([0.5, 1.0, 1.5]),
-        split=rng.choice([None, SplitConfig(gap_m=gap_m, min_points=min_points)], p=[1 / 3, 2 / 3]),
+        split=SplitConfig(gap_m=gap_m, min_points=min_points) if rng.random() < 2 / 3 else None,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from tests.rooms import LASER, ROOM, take_scan
@@ -61,7 +61,7 @@ class Pairs:
     rows: FloatArray
     weights: FloatArray
     numbers: FloatArray
-    is_line: FloatArray
+    is_line: BoolArray
 
 
 def pairs_of(scan: Scan, local_map: LocalMap, T: FloatArray, max_range: float = np.inf) -> Pairs:
