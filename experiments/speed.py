@@ -243,7 +243,7 @@ def _stage_statistics(took: list[Mapping[str, float]]) -> dict[str, list[float]]
 def _endless(log: SimulatedLog, n_scans: int) -> Iterator[Scan]:
     """Drive a short log to and fro until there are enough scans.
 
-    Of the log the poses and ranges are taken again, backwards on every second way; so the robot never jumps, and
+    Of the log the poses and ranges are taken again, backwards on every second pass; so the robot never jumps, and
     a scan looks the same where it comes by again, but the odometry over the whole drive is drawn anew and drifts on.
     """
     n = log.n_scans
@@ -471,7 +471,7 @@ def experiment(options: SpeedOptions) -> None:
     )
     growth = (
         "The long run drives one lap of the simulated office to and fro, its ranges taken again, its odometry drawn"
-        f" anew over the whole way{'' if options.scans is None else f'; its length from --scans {options.scans}'}."
+        f" anew over the whole distance{'' if options.scans is None else f'; its length from --scans {options.scans}'}."
         " Where the time goes: kernels within a step, medians, so that those of a keyframe (normals, insertion) show 0;"
         " the memory's speed is that of copying 64 MB."
         " Peak memory of all methods together in one process: " + "; ".join(peaks) + "."

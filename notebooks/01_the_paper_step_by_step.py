@@ -57,7 +57,7 @@ print(
 #
 # A laser point in the map is uncertain for two reasons. The robot does not know exactly where it is: that is R_r, the
 # covariance of its pose. And the beam itself has noise in range and angle: that is R_l. The paper adds the two, each
-# carried to the end point by its Jacobian (eq. 9):
+# propagated to the end point by its Jacobian (eq. 9):
 #
 # $$R_p = H_r R_r H_r^T + H_l R_l H_l^T$$
 #
@@ -231,7 +231,7 @@ plt.show()
 #
 # - **R_r is constant and large.** Its ellipses reach a wall from far away, so a person near one counts as static. From
 #   one scan to the next, the odometry of this robot is much better than R_r says.
-# - **The map takes all points.** People draw their own way into the map. Where one was seen, cells are no longer free,
+# - **The map takes all points.** People draw their own path into the map. Where one was seen, cells are no longer free,
 #   and who walks there counts as static until enough beams have crossed them again.
 # - **Matching point to point, from scan to scan, adds up its errors.** The beams of two scans hardly ever hit the
 #   same places, which biases each match, with or without people. Over a metre the filter helps; over the whole drive

@@ -53,6 +53,7 @@ MOVED = {
     "free_no_return_m": "detector.local_grid.no_return",
     "occupy_with_moving": "grid.occupy_with_moving",
     "tracks": "tracker",
+    "tracks.min_way_m": "tracker.min_distance_m",
 }
 """New path of each old key; the longest one that a key begins with counts."""
 

@@ -52,7 +52,7 @@ def recall_and_precision(steps: list[StepResult]) -> tuple[float, float]:
     return (truth & found).sum() / truth.sum(), (truth & found).sum() / max(found.sum(), 1)
 
 
-def test_graph_finds_its_way_and_the_person() -> None:
+def test_graph_localizes_and_finds_the_person() -> None:
     log = drive(100)
     pipeline, steps = run(log)
     truth = truth_from_start(log)
@@ -304,11 +304,11 @@ def test_a_jump_of_the_odometry_is_survived() -> None:
     assert np.isfinite(final.T_map_base).all()
     assert np.isfinite(final.cov_map).all()
     truth = truth_from_start(log)
-    # the way before the jump is whole, and so is the way after it in itself
+    # the path before the jump is right, and so is the path after it in itself
     assert errors(truth[:30], final.T_map_base[:30])[0] < 0.03
     after = se2.between(final.T_map_base[45], final.T_map_base[45:])
     assert errors(se2.between(truth[45], truth[45:]), after)[0] < 0.05
-    # and so is the way across it: the jump is the odometry's, not the robot's
+    # and so is the path across it: the jump is the odometry's, not the robot's
     assert errors(truth, final.T_map_base)[0] < 0.05
     pipeline.close()
 

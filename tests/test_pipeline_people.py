@@ -128,7 +128,7 @@ def test_a_failed_match_calls_nothing_moving() -> None:
         assert step.match is not None
         assert step.match.status == "failed"
         assert not step.is_moving.any()
-        assert (step.reason == reasons.STOOD_BACK).any()
+        assert (step.reason == reasons.ABSTAINED).any()
 
 
 @pytest.mark.parametrize("value", [-0.1, 0.0, float("nan")])
@@ -142,5 +142,5 @@ def test_every_valid_beam_of_a_crowd_has_a_probability_and_a_reason_that_fits() 
     for step in islice(Run(log, "graph"), 120):
         assert np.isfinite(step.p_moving[step.is_valid]).all()
         assert (
-            np.isin(step.reason, (reasons.FREE, reasons.TRACKED, reasons.EMPTIED)) == step.is_moving
+            np.isin(step.reason, (reasons.FREE, reasons.TRACKED, reasons.VACATED)) == step.is_moving
         ).all()

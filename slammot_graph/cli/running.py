@@ -145,7 +145,7 @@ def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path
     out.print(table)
     out.print(
         f"one log (seed {DEMO_SEED}); medians over 20 seeds stand in README.md. Precision, recall and IoU are of the"
-        " moving points by the final labels, which `graph` gives with hindsight",
+        " moving points by the final labels, which `graph` gives by a backward pass",
         soft_wrap=True,
     )
     recording = output / "graph" / "run.rrd"

@@ -44,7 +44,7 @@ class ScanToMapConfig(Checked):
     lost_std_m, lost_std_rad : float
         Standard deviations of the motion since the last keyframe when the robot is lost, or the odometry has jumped.
     lost_distance_m : float
-        Path length that a lost robot may have been carried, when it comes to recognising places.
+        Path length that a lost robot may have been displaced, when it comes to place recognition.
     jump_inlier_ratio, jump_nis : float
         A match with fewer inliers and a larger normalised innovation squared is tried again without the odometry ...
     jump_inlier_gain : float

@@ -1,4 +1,4 @@
-"""A moving picture of a run: its map, and scan by scan the points, the objects and the way so far.
+"""A moving picture of a run: its map, and scan by scan the points, the objects and the path so far.
 
 What stands still is drawn once; for each frame only what moves is drawn over it.
 """
@@ -61,7 +61,7 @@ DPI = 125
 FAINT_COLORS = np.array([[236, 238, 240], [255, 255, 255], [165, 168, 172]], dtype=np.uint8)
 """Of the map's cells: unknown, free, occupied."""
 TRAIL_SCANS = 30
-"""So many scans long is the way behind a moving object."""
+"""So many scans long is the trail of a moving object."""
 ROBOT_LENGTH = 0.035
 """Length of the robot's arrow as a share of the map's long side."""
 RING_PT = 8.0
@@ -198,14 +198,14 @@ class _Stage:
         """Say what everything in the picture is: the scan, the robot, the objects, the map."""
         static = line_entry("points that stand still", **POINT, color=to_hex(COLOR_STATIC), markersize=5.0)
         moving = line_entry("points that move", **POINT, color=to_hex(COLOR_MOVING), markersize=6.0)
-        robot = line_entry("robot and its way", **PATH, marker=">", markersize=6.0, markeredgecolor="white")
+        robot = line_entry("robot and its path", **PATH, marker=">", markersize=6.0, markeredgecolor="white")
         rings = [
             line_artist(
                 color=to_hex(color), marker="o", markersize=5.0, markerfacecolor="none", linewidth=1.0
             )
             for color in TRACK_COLORS[:2]
         ]
-        track = Entry(tuple(rings), f"tracked objects, and their ways in the last {TRAIL_SCANS} scans")
+        track = Entry(tuple(rings), f"tracked objects, and their paths in the last {TRAIL_SCANS} scans")
         has_map = bool(np.isfinite(self._folder.grid.p_occupied).any())
         free, *others = state_entries(FAINT_COLORS)
         states = [free._replace(label=f"finished map: {free.label}"), *others] if has_map else []

@@ -80,7 +80,7 @@ def test_another_place_is_matched_neither_from_here_nor_from_there() -> None:
     np.testing.assert_array_equal(state.T_local_base, STEP)
 
 
-def test_a_narrower_kernel_that_fails_gives_way_to_the_usual_one() -> None:
+def test_a_narrower_kernel_that_fails_is_replaced_by_the_usual_one() -> None:
     factors, matching = list[float](), matching_at(np.zeros(3))
     usual_match = matching.matcher.match
 

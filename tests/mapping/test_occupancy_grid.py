@@ -33,8 +33,8 @@ class PlainGrid:
 
     def crossed(self, origin: FloatArray, end: FloatArray) -> set[Cell]:
         """Cells under one sample per cell of the longer axis, from the origin up to the end point's cell."""
-        a, way = origin / self.config.resolution_m, (end - origin) / self.config.resolution_m
-        samples = a + way / np.abs(way).max() * np.arange(int(np.abs(way).max()) + 1)[:, None]
+        a, step = origin / self.config.resolution_m, (end - origin) / self.config.resolution_m
+        samples = a + step / np.abs(step).max() * np.arange(int(np.abs(step).max()) + 1)[:, None]
         cells = [(math.floor(y), math.floor(x)) for x, y in samples]
         return set(cells[: cells.index(self.cell(end))] if self.cell(end) in cells else cells)
 

@@ -38,7 +38,7 @@ def local_map_of(
 
 
 def circle(n: int, step: tuple[float, float, float] = (0.3, 0.0, 0.15)) -> FloatArray:
-    """Keyframes on the robot's way up to `A`."""
+    """Keyframes on the robot's path up to `A`."""
     poses = [A]
     for _ in range(n - 1):
         poses.append(se2.compose(poses[-1], se2.inverse(np.array(step))))

@@ -75,15 +75,15 @@ def test_a_closure_joins_the_places_of_its_nodes(ring: Ring) -> None:
 
 def test_the_graph_is_there_before_and_after_a_closure(ring: Ring) -> None:
     before = strips(ring.path, "/world/closures/graph_before")
-    after = strips(ring.path, "/world/estimate/way")
+    after = strips(ring.path, "/world/estimate/graph_path")
     assert set(before) == set(after) == set(ring.after)
     assert len(after) >= 5
     for scan, nodes in ring.after.items():
         (old,), (new,) = before[scan], after[scan]
         np.testing.assert_allclose(new, nodes[:, :2], atol=1e-5)
         np.testing.assert_allclose(old[:-1], ring.before[scan][:, :2], atol=0.03)
-        way = np.diff(old[-2:], axis=0)  # the closing node has not jumped yet
-        np.testing.assert_allclose(way, np.diff(new[-2:], axis=0), atol=0.02)
+        path = np.diff(old[-2:], axis=0)  # the closing node has not jumped yet
+        np.testing.assert_allclose(path, np.diff(new[-2:], axis=0), atol=0.02)
     first = min(after)
     assert np.hypot(*(after[first][0] - before[first][0]).T).max() > 0.05
 
@@ -102,7 +102,7 @@ def test_closures_of_the_graph_follow_its_nodes(ring: Ring) -> None:
             np.testing.assert_allclose(drawn[step.scan.index], nodes[accepted][..., :2], atol=1e-5)
 
 
-def test_a_closure_that_is_taken_back_is_no_longer_drawn(tmp_path: Path) -> None:
+def test_a_closure_that_is_rejected_is_no_longer_drawn(tmp_path: Path) -> None:
     def attempt(source: int, status: ClosureStatus) -> ClosureAttempt:
         return ClosureAttempt(
             target_node=0, source_node=source, status=status, reason="", T_target_source=np.zeros(3)
@@ -189,6 +189,6 @@ def test_the_graph_before_and_after_waits_for_the_nodes(tmp_path: Path) -> None:
     ((scan, (before,)),) = strips(tmp_path / "run.rrd", "/world/closures/graph_before").items()
     assert scan == 29
     np.testing.assert_allclose(before, np.array(nodes)[:, :2], atol=1e-3)
-    ((scan, (after,)),) = strips(tmp_path / "run.rrd", "/world/estimate/way").items()
+    ((scan, (after,)),) = strips(tmp_path / "run.rrd", "/world/estimate/graph_path").items()
     assert scan == 29
     np.testing.assert_allclose(after, run.result().nodes[:, :2], atol=1e-5)

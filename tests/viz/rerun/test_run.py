@@ -49,7 +49,7 @@ def test_a_short_run_has_its_map_and_graph(tmp_path: Path) -> None:
     for entity, component in (
         ("/world/map/grid", "GridMap:cell_size"),
         ("/world/graph/nodes", "Points3D:positions"),
-        ("/world/estimate/way", "LineStrips3D:strips"),
+        ("/world/estimate/graph_path", "LineStrips3D:strips"),
     ):
         of_scan = set(entries(tmp_path / "run.rrd", entity, component))
         assert max(of_scan - {59}) >= 40  # the last is that of the finished run

@@ -232,7 +232,7 @@ def test_every_view_of_a_run_is_drawn(
         assert is_static[binary_dilation(is_wall, iterations=8)].sum() > 0.3 * is_static.sum()
     rows, cols = np.nonzero(_is_colored(pictures.of_view["Map"], colors.COLOR_ESTIMATE, 0.04))
     assert len(rows) > 200
-    # y is up: the way starts in the lower left corner and turns to the left
+    # y is up: the path starts in the lower left corner and turns to the left
     assert rows[cols.argmin()] > np.percentile(rows, 40)
     assert cols[rows.argmin()] > np.percentile(cols, 40)
 
