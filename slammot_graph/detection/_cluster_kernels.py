@@ -174,7 +174,7 @@ def group_moving(
     vacated_reach: float,
     expected: FloatArray,
     expected_reach: float,
-    stand_back_share: float,
+    abstain_share: float,
     max_gap: float,
     max_skipped_beams: int,
     min_points: int,
@@ -189,7 +189,7 @@ def group_moving(
     """Group the beams on free cells, then those on unknown ones near places (k, 2) that are empty now or expected.
 
     Takes `reason` (n,) from the test and completes it, fills `cluster` and `is_moving` (n,); returns the number of
-    clusters. If more than `stand_back_share` of the valid beams would move, none does.
+    clusters. If more than `abstain_share` of the valid beams would move, none does.
     """
     n = points.shape[0]
     is_near = np.empty(n, dtype=np.bool_)
@@ -227,7 +227,7 @@ def group_moving(
         n_moving += is_moving[k]
         if not is_moving[k] and (reason[k] == FREE or reason[k] == VACATED or reason[k] == TRACKED):
             reason[k] = DISCARDED  # as when a wider group took it in
-    if n_clusters > 0 and n_moving > stand_back_share * n_valid:
+    if n_clusters > 0 and n_moving > abstain_share * n_valid:
         for k in range(n):
             reason[k] = ABSTAINED if is_moving[k] else reason[k]
             is_moving[k] = False

@@ -139,7 +139,7 @@ def group_moving(
     points: FloatArray,
     is_valid: BoolArray,
     hints: Hints,
-    stand_back_share: float,
+    abstain_share: float,
     config: ClusterConfig,
     tested: IntArray,
 ) -> tuple[IntArray, IntArray, BoolArray, int]:
@@ -151,7 +151,7 @@ def group_moving(
         hints.vacated_reach_m,
         hints.expected,
         hints.expected_reach_m,
-        stand_back_share,
+        abstain_share,
         *config.kernel_arguments(),
         reason,
         cluster,
@@ -164,7 +164,7 @@ def plain_grouping(
     points: FloatArray,
     is_valid: BoolArray,
     hints: Hints,
-    stand_back_share: float,
+    abstain_share: float,
     config: ClusterConfig,
     tested: IntArray,
 ) -> tuple[IntArray, IntArray, BoolArray, int]:
@@ -186,7 +186,7 @@ def plain_grouping(
             is_moving = cluster >= 0
             reason[is_near] = np.where(is_moving[is_near], why, DISCARDED)
     reason[~is_moving & np.isin(reason, [FREE, VACATED, TRACKED])] = DISCARDED
-    if np.count_nonzero(is_moving) > stand_back_share * np.count_nonzero(is_valid):
+    if np.count_nonzero(is_moving) > abstain_share * np.count_nonzero(is_valid):
         nothing = np.zeros_like(is_moving)
         return np.where(is_moving, ABSTAINED, reason), np.full_like(cluster, -1), nothing, 0
     return reason, cluster, is_moving, n_clusters
