@@ -1,4 +1,4 @@
-"""Draw ``how_it_works.svg``: one scan's way through the pipeline, with the files and what they share.
+"""Draw ``how_it_works.svg``: one scan's path through the pipeline, with the files and what they share.
 
 Run it from anywhere: ``python docs/how_it_works.py``. Rows are the stages, columns what is kept from scan to scan.
 """

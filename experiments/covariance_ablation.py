@@ -1,4 +1,4 @@
-"""Which covariance should the moving-point test be given? Over odometry noise, and over the way driven."""
+"""Which covariance should the moving-point test be given? Over odometry noise, and over the distance driven."""
 
 import sys
 from collections.abc import Callable
@@ -63,12 +63,12 @@ def noise_cell(covariance: str, noise: float, seed: int) -> Scores:
 
 
 def path_cell(covariance: str, seed: int, n_laps: int) -> Scores:
-    """Recall and precision of the online labels and size of the test's covariance, by way driven."""
+    """Recall and precision of the online labels and size of the test's covariance, by distance driven."""
     log = simulate(PATH_SCENARIO, seed=seed, n_laps=n_laps, rate_hz=PATH_RATE_HZ)
     run = Run(log, "graph-noloop", config=configured(covariance))
     std_m = [float(np.sqrt(np.trace(step.cov_relative[:2, :2]))) for step in run]
     result = run.result()
-    part = (_way_m(log) // PATH_BIN_M).astype(np.int64)
+    part = (_path_length_m(log) // PATH_BIN_M).astype(np.int64)
     scores: Scores = {"recall": [], "precision": [], "std_m": []}
     for k in range(int(part[-1])):  # the last one is not full
         points = evaluate_points(
@@ -80,13 +80,13 @@ def path_cell(covariance: str, seed: int, n_laps: int) -> Scores:
     return scores
 
 
-def _way_m(log: SimulatedLog) -> "np.ndarray":
+def _path_length_m(log: SimulatedLog) -> "np.ndarray":
     steps = np.hypot(*np.diff(log.T_world_base[:, :2], axis=0).T)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def experiment(options: Options) -> None:
-    """The moving-point test with five covariances, over graded odometry noise and over the way driven."""
+    """The moving-point test with five covariances, over graded odometry noise and over the distance driven."""
     seeds = options.seed_range(FULL_SEEDS, quick=1)
     noises = NOISES[1:2] if options.quick else NOISES
     names = ("absolute", "relative") if options.quick else tuple(COVARIANCES)
@@ -137,7 +137,7 @@ def experiment(options: Options) -> None:
         f"Over noise: the {NOISE_SCENARIO} scenario, its odometry noise times the factor, {len(seeds)} paired seeds,"
         " online labels, without loop closure (which bounds the absolute marginal): median [95% bootstrap interval]."
         " p: paired Wilcoxon of the IoU against the relative marginal, Holm's correction within a table.",
-        f"Over the way: the {PATH_SCENARIO} scenario, {n_laps} laps, {len(path_seeds)} seeds. Figure:"
+        f"Over the distance: the {PATH_SCENARIO} scenario, {n_laps} laps, {len(path_seeds)} seeds. Figure:"
         " figures/covariance_over_path.png.",
     ]
     write_tables("covariance_ablation", "Covariances in the moving-point test", notes, tables, options)
@@ -178,9 +178,11 @@ def _path_table(of_path: dict[str, list[Scores]]) -> Table:
             lost = [b - a for a, b in zip(first, last, strict=True)]
             label = f"{COVARIANCES[name]}: {'recall' if figure == 'recall' else 'standard deviation [m]'}"
             rows.append([label, *(median_interval(values) for values in (first, last, lost))])
-    way = f"{PATH_BIN_M * 2:g} m"
+    distance = f"{PATH_BIN_M * 2:g} m"
     return Table(
-        heading="Over the way driven", columns=["", f"first {way}", f"last {way}", "change"], rows=rows
+        heading="Over the distance driven",
+        columns=["", f"first {distance}", f"last {distance}", "change"],
+        rows=rows,
     )
 
 
@@ -188,15 +190,17 @@ def _draw(of_path: dict[str, list[Scores]], options: Options) -> None:
     figure, ((recall, size),) = panels(1, 2, (5.5, 3.6))
     for name, found in of_path.items():
         n_parts = min(len(score["recall"]) for score in found)
-        way = PATH_BIN_M * (np.arange(n_parts) + 0.5)
+        distance = PATH_BIN_M * (np.arange(n_parts) + 0.5)
         for axes, key in ((recall, "recall"), (size, "std_m")):
             values = np.array([score[key][:n_parts] for score in found], dtype=np.float64)
-            axes.plot(way, np.nanmedian(values, axis=0), marker="o", markersize=3, label=COVARIANCES[name])
+            axes.plot(
+                distance, np.nanmedian(values, axis=0), marker="o", markersize=3, label=COVARIANCES[name]
+            )
     recall.set_ylabel("recall of moving points, online")
     size.set_ylabel("position in the test, std [m]")
     size.set_yscale("log")
     for axes in (recall, size):
-        axes.set_xlabel("way driven [m]")
+        axes.set_xlabel("distance driven [m]")
         axes.grid(alpha=0.3)
     recall.legend(fontsize=8)
     save(figure, "covariance_over_path", options)

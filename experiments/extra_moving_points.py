@@ -18,10 +18,10 @@ GAP_M = 0.4
 """Extra points nearer than this in one scan are one thing."""
 SAME_PLACE_M, FAR_SCANS, MIN_VISITS = 0.3, 30, 3
 """What is called moving at one place in so many scans that far apart stands there: it is furniture."""
-MIN_WAY_M = 1.0
-"""What went this far while it was followed moves."""
+MIN_DISTANCE_M = 1.0
+"""What got this far while it was tracked moves."""
 
-SORTS = ("people of the log", "something that goes its way", "furniture", "one place, once or twice")
+SORTS = ("people of the log", "something else that moves", "furniture", "one place, once or twice")
 
 
 def cell(log: str, reference: str, seed: int, n_scans: int) -> Scores:
@@ -44,7 +44,7 @@ def cell(log: str, reference: str, seed: int, n_scans: int) -> Scores:
             is_person.append(bool(person[members].mean() > 0.5))
     where = np.array(places).reshape(-1, 2)
     when = np.array(scans, dtype=np.int64)
-    moves = _goes_its_way(where, when, result.tracks, T_map_start)
+    moves = _has_moved(where, when, result.tracks, T_map_start)
     stands = _comes_back(where, when)
     sort = np.select([np.array(is_person, dtype=np.bool_), moves, stands], [0, 1, 2], 3)
     right = int((result.is_moving & walkers.is_moving & result.is_valid).sum())
@@ -57,14 +57,12 @@ def _groups(points: FloatArray) -> list[IntArray]:
     return np.split(np.arange(len(points)), np.flatnonzero(gaps) + 1)
 
 
-def _goes_its_way(
-    where: FloatArray, when: IntArray, tracks: FloatArray, T_map_start: FloatArray
-) -> BoolArray:
-    """(k,) things that belong to a track which got `MIN_WAY_M` from where it began."""
+def _has_moved(where: FloatArray, when: IntArray, tracks: FloatArray, T_map_start: FloatArray) -> BoolArray:
+    """(k,) things that belong to a track which got `MIN_DISTANCE_M` from where it began."""
     moves = np.zeros(len(where), dtype=np.bool_)
     for number in np.unique(tracks[:, 1]):
         track = tracks[tracks[:, 1] == number]
-        if np.hypot(*(track[:, 2:4] - track[0, 2:4]).T).max() < MIN_WAY_M:
+        if np.hypot(*(track[:, 2:4] - track[0, 2:4]).T).max() < MIN_DISTANCE_M:
             continue
         path = dict(zip(track[:, 9].astype(int), se2.transform(T_map_start, track[:, 2:4]), strict=True))
         for k in np.flatnonzero(np.isin(when, track[:, 9].astype(int))):
@@ -120,8 +118,8 @@ def experiment(options: Options) -> None:
     notes = [
         f"The first {n_scans} scans of each log with {N_PEOPLE} people injected, {len(seeds)} seeds, final labels of"
         " `graph`: beams called moving that hit no injected person, and their share of all beams called moving."
-        f" People of the log: within {recorded.NEAR_M:g} m of whoever walked {recorded.MIN_WAY_M:g} m in the run over"
-        f" the log as recorded. Something that goes its way: its track got {MIN_WAY_M:g} m away. Furniture:"
+        f" People of the log: within {recorded.NEAR_M:g} m of whoever moved {recorded.MIN_DISTANCE_M:g} m in the run"
+        f" over the log as recorded. Something else that moves: its track got {MIN_DISTANCE_M:g} m away. Furniture:"
         f" called moving at one place (within {SAME_PLACE_M:g} m) at {MIN_VISITS} times, {FAR_SCANS} scans apart."
         " Figure: figures/extra_moving_points.png."
     ]

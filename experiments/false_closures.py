@@ -44,7 +44,7 @@ COLUMNS = (
     "wrong by the run without",
     "false ones ever taken",
     "false ones at the end",
-    "true ones ever taken back",
+    "true ones ever rejected as outliers",
     "deciding [ms each]",
     "longest [ms]",
     "run, CPU [s]",
@@ -163,7 +163,7 @@ def lies_nearby(truth: WatchedRun, n: int, rng: np.random.Generator) -> list[Lie
 
 
 def lies_in_chorus(truth: WatchedRun, n: int, length_m: float, rng: np.random.Generator) -> list[Lie]:
-    """Pairs in groups of neighbours, all off by the same way in the map, as in corridors that look alike."""
+    """Pairs in groups of neighbours, all off by the same displacement in the map, as in corridors that look alike."""
     pairs = _near_pairs(truth)
     closures = accepted_by(_closer(truth))
     n_groups = 3
@@ -216,7 +216,7 @@ def experiment(options: FalseOptions) -> None:
         " soon as the later local map is finished, each with the covariance of a true one. random: between any"
         " two local maps, said to be within 3 m of each other at any angle. nearby: between local maps less than"
         " 8 m apart, 0.6 to 3 m and up to 20 degrees off. aliased: in three groups of neighbouring local maps, all"
-        " off by the same way in the map, so that they agree with each other. `change` is that of the mean"
+        " off by the same displacement in the map, so that they agree with each other. `change` is that of the mean"
         " translation error. `wrong by the run without`: closures in the graph at the end that lie more than"
         " 0.5 m or 5 degrees from the trajectory of the run without false ones."
     )
@@ -282,7 +282,7 @@ def _closer(run: WatchedRun) -> LoopCloser:
 
 
 def _near_pairs(truth: WatchedRun) -> list[tuple[int, int]]:
-    """(target, source) of local maps less than 8 m apart with some way between, the nearest of each source."""
+    """(target, source) of local maps less than 8 m apart with some path between, the nearest of each source."""
     submaps = truth.submaps
     nodes = truth.result.nodes
     centres = np.array([se2.transform(nodes[s.anchor], s.centre[None, :])[0] for s in submaps])

@@ -1,4 +1,4 @@
-"""Odometry that jumps once, and a robot that is carried away with its laser covered."""
+"""Odometry that jumps once, and a robot that is kidnapped with its laser occluded."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -31,11 +31,11 @@ from slammot_graph.logs import LaserLog, SkippedScan
 from slammot_graph.simulation import SimulatedLog, simulate
 
 JUMP_M = 2.0
-CARRIED_M = 5.0
-N_COVERED = 20
+KIDNAPPED_M = 5.0
+N_OCCLUDED = 20
 QUICK_SCANS = 600
-COVERS = {"no return": np.inf, "0.05 m": 0.05}
-"""What a covered laser says [m]; infinite stands for its maximum."""
+OCCLUSIONS = {"no return": np.inf, "0.05 m": 0.05}
+"""What an occluded laser says [m]; infinite stands for its maximum."""
 
 JUMP_COLUMNS = (
     "log",
@@ -49,10 +49,10 @@ JUMP_COLUMNS = (
     "at the end [m]",
     "closures",
 )
-CARRIED_COLUMNS = (
+KIDNAPPED_COLUMNS = (
     "log",
-    "covered laser says",
-    "carried at scan",
+    "occluded laser says",
+    "kidnapped at scan",
     "scans out of in",
     "lost at scan",
     "first closure old-new after",
@@ -99,43 +99,43 @@ class JumpedLog:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Carried:
-    """A log of a robot that was carried away.
+class Kidnapped:
+    """A log of a robot that was kidnapped.
 
     Attributes
     ----------
     log : SimulatedLog
-    first_covered, first_after : int
-        Scans: the laser is covered from the one until the other.
+    first_occluded, first_after : int
+        Scans: the laser is occluded from the one until the other.
     """
 
     log: SimulatedLog
-    first_covered: int
+    first_occluded: int
     first_after: int
 
 
-def carry_away(log: SimulatedLog, at: int, covered_m: float) -> Carried:
-    """Cut out the component after scan `at` in which the robot gets `CARRIED_M` away, and cover the laser meanwhile.
+def kidnap(log: SimulatedLog, at: int, occluded_m: float) -> Kidnapped:
+    """Cut out the stretch after scan `at` in which the robot gets `KIDNAPPED_M` away, with the laser occluded.
 
-    The wheels do not turn: odometry goes on where it was. Odometry turns of the component left out are left out too.
+    The wheels do not turn: odometry goes on where it was. Odometry turns of the stretch left out are left out too.
     """
     away_m = np.hypot(*(log.T_world_base[at:, :2] - log.T_world_base[at, :2]).T)
-    beyond = np.flatnonzero(away_m >= CARRIED_M)
+    beyond = np.flatnonzero(away_m >= KIDNAPPED_M)
     if not len(beyond):
-        raise InputError(f"{log.path}: the robot does not get {CARRIED_M} m away after scan {at}")
+        raise InputError(f"{log.path}: the robot does not get {KIDNAPPED_M} m away after scan {at}")
     after = at + int(beyond[0])
-    standing = np.full(N_COVERED, at)
+    standing = np.full(N_OCCLUDED, at)
     kept = np.concatenate([np.arange(at + 1), standing, np.arange(after, log.n_scans)])
     T_odom_base = log.T_odom_base[kept].copy()
-    n_before = at + 1 + N_COVERED
+    n_before = at + 1 + N_OCCLUDED
     T_shift = se2.compose(log.T_odom_base[at], se2.inverse(log.T_odom_base[after]))
     T_odom_base[n_before:] = se2.compose(T_shift[None, :], T_odom_base[n_before:])
     ranges = log.ranges[kept].copy()
-    ranges[at + 1 : n_before] = log.laser.range_max if np.isinf(covered_m) else covered_m
+    ranges[at + 1 : n_before] = log.laser.range_max if np.isinf(occluded_m) else occluded_m
     is_moving, object_id = log.is_moving[kept].copy(), log.object_id[kept].copy()
     is_moving[at + 1 : n_before], object_id[at + 1 : n_before] = False, -1
-    carried = SimulatedLog(
-        name=f"{log.path} carried",
+    kidnapped = SimulatedLog(
+        name=f"{log.path} kidnapped",
         laser=log.laser,
         stamps=log.stamps[0] + np.median(np.diff(log.stamps)) * np.arange(len(kept)),
         ranges=ranges,
@@ -145,24 +145,24 @@ def carry_away(log: SimulatedLog, at: int, covered_m: float) -> Carried:
         object_id=object_id,
         objects=log.objects[kept],
     )
-    return Carried(log=carried, first_covered=at + 1, first_after=n_before)
+    return Kidnapped(log=kidnapped, first_occluded=at + 1, first_after=n_before)
 
 
 def experiment(options: LoopOptions) -> None:
-    """Odometry that jumps by 2 m once; a robot carried 5 m away with its laser covered."""
+    """Odometry that jumps by 2 m once; a robot kidnapped by 5 m with its laser occluded."""
     tables = [
         Table(heading="Odometry jumps by 2 m once", columns=JUMP_COLUMNS, rows=_jumps(options)),
         Table(
-            heading="Carried 5 m away with the laser covered",
-            columns=CARRIED_COLUMNS,
-            rows=_carried(options.quick),
+            heading="Kidnapped, 5 m away, with the laser occluded",
+            columns=KIDNAPPED_COLUMNS,
+            rows=_kidnapped(options.quick),
         ),
     ]
     intro = (
         f"Jump: from some scan on the odometry lies {JUMP_M:g} m aside. Errors: mean over the relations of a recorded"
-        " log, ATE rmse of a simulated one after planar alignment. Carried: a component of the log in which the robot"
-        f" gets {CARRIED_M:g} m away is cut out; in its place are {N_COVERED} scans with a covered laser and standing"
-        " odometry. old-new: closures between nodes before and after; wrong: more than 0.5 m or"
+        " log, ATE rmse of a simulated one after planar alignment. Kidnapped: a stretch of the log in which the robot"
+        f" gets {KIDNAPPED_M:g} m away is cut out; in its place are {N_OCCLUDED} scans with an occluded laser and"
+        " standing odometry. old-new: closures between nodes before and after; wrong: more than 0.5 m or"
         " 5 degrees from the truth. `at the end`: error of the last pose with the"
         " first ones laid onto each other; `error after`: rmse of the poses after, laid onto the truth by those before."
     )
@@ -236,18 +236,18 @@ def _jump_row(
     return row
 
 
-def _carried(quick: bool) -> list[list[str]]:
+def _kidnapped(quick: bool) -> list[list[str]]:
     rows = []
-    cells = (("office", 1, 0, 0.2),) if quick else CARRIED_CELLS
+    cells = (("office", 1, 0, 0.2),) if quick else KIDNAPPED_CELLS
     for world, n_laps, seed, share in cells:
         whole = simulate(world, seed=seed, n_laps=n_laps, rate_hz=5.0 if quick else None)
-        for cover, covered_m in list(COVERS.items())[: 1 if quick or seed else None]:
-            carried = carry_away(whole, int(share * whole.n_scans), covered_m)
-            rows.append(_carried_row(f"{world}, {n_laps} laps, seed {seed}", cover, carried))
+        for occlusion, occluded_m in list(OCCLUSIONS.items())[: 1 if quick or seed else None]:
+            kidnapped = kidnap(whole, int(share * whole.n_scans), occluded_m)
+            rows.append(_kidnapped_row(f"{world}, {n_laps} laps, seed {seed}", occlusion, kidnapped))
     return rows
 
 
-CARRIED_CELLS = (
+KIDNAPPED_CELLS = (
     ("office", 2, 0, 0.35),
     ("office", 2, 1, 0.5),
     ("hall", 2, 0, 0.3),
@@ -257,35 +257,35 @@ CARRIED_CELLS = (
 """World, laps, seed, and where in the log the robot is picked up."""
 
 
-def _carried_row(name: str, cover: str, carried: Carried) -> list[str]:
-    log = carried.log
+def _kidnapped_row(name: str, occlusion: str, kidnapped: Kidnapped) -> list[str]:
+    log = kidnapped.log
     try:
         run, alone = run_watched(log), run_watched(log, "graph-noloop")
     except Exception as error:  # that nothing crashes is what is tested
-        return [name, cover, str(carried.first_covered), f"**failed: {error}**", *["-"] * 9]
+        return [name, occlusion, str(kidnapped.first_occluded), f"**failed: {error}**", *["-"] * 9]
     result = run.result
     node_scans = result.node_scans
     joining = [
         edge
         for edge in closures_of(result)
-        if min(node_scans[[edge.from_node, edge.to_node]]) < carried.first_covered
-        and max(node_scans[[edge.from_node, edge.to_node]]) >= carried.first_after
+        if min(node_scans[[edge.from_node, edge.to_node]]) < kidnapped.first_occluded
+        and max(node_scans[[edge.from_node, edge.to_node]]) >= kidnapped.first_after
     ]
     lost = [event.scan for event in result.events if event.kind == "lost"]
-    n = carried.first_covered
+    n = kidnapped.first_occluded
     before = absolute_error(result.T_map_base[:n], log.T_world_base[:n])
     laid = se2.compose(before.T_world_map[None, :], result.T_map_base)
-    off_m = np.hypot(*(laid - log.T_world_base)[carried.first_after :, :2].T)
+    off_m = np.hypot(*(laid - log.T_world_base)[kidnapped.first_after :, :2].T)
     end_m, end_deg = _end_error(run, log.T_world_base)
     first = min((node_scans[edge.to_node] for edge in joining), default=-1)
     row = [
         name,
-        cover,
-        str(carried.first_covered),
+        occlusion,
+        str(kidnapped.first_occluded),
         f"{len(result.stamps)} of {log.n_scans}",
         ", ".join(map(str, lost[:3])) + (f" and {len(lost) - 3} more" if len(lost) > 3 else "")
         or "**never**",
-        f"{first - carried.first_after} scans" if joining else "**none**",
+        f"{first - kidnapped.first_after} scans" if joining else "**none**",
         str(len(joining)),
         str(int(is_wrong(*closure_errors(joining, log.T_world_base[node_scans])).sum())),
         f"{before.translation_m.rmse:.3f}",
@@ -295,7 +295,7 @@ def _carried_row(name: str, cover: str, carried: Carried) -> list[str]:
         f"{_end_error(alone, log.T_world_base)[0]:.3f}",
     ]
     say(f"lost_robot: {' | '.join(row)}")
-    _tell(run, carried.first_covered)
+    _tell(run, kidnapped.first_occluded)
     return row
 
 

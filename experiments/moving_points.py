@@ -20,7 +20,7 @@ from slammot_graph.evaluation import (
 from slammot_graph.simulation import SimulatedLog
 
 METHODS = ("docpfo", "graph-fixed", "graph-absolute", "graph")
-STEPS_OF_LADDER = (("graph", "graph-fixed"), ("graph-fixed", "docpfo"), ("graph", "graph-absolute"))
+COMPARED_METHODS = (("graph", "graph-fixed"), ("graph-fixed", "docpfo"), ("graph", "graph-absolute"))
 LOGS = ("intel", "aces")
 FULL_SEEDS, QUICK_SCANS = 20, 200
 N_SCANS = 2500
@@ -120,7 +120,7 @@ def experiment(options: Options) -> None:
         f"The first {n_scans} scans of each log with {N_PEOPLE} people, {len(seeds)} paired seeds: median [95%"
         f" bootstrap interval]; people take {share:.1%} of the beams. A beam moves if it hit a person, also one who"
         " stands. The logs as recorded hold people of their own, whom nobody labelled: returns within"
-        f" {recorded.NEAR_M:g} m of whoever displaced {recorded.MIN_WAY_M:g} m in the run over the log as recorded are"
+        f" {recorded.NEAR_M:g} m of whoever moved {recorded.MIN_DISTANCE_M:g} m in the run over the log as recorded are"
         f" set aside for all methods ({aside})."
         " p: paired Wilcoxon, two-sided, Holm's correction within a log."
     ]
@@ -148,12 +148,12 @@ def _methods(log: str, column: Callable[[str, str, str], list[float]]) -> Table:
     p_values = holm(
         {
             f"{a} {b} {labels}": paired_p(column(log, a, f"{labels} iou"), column(log, b, f"{labels} iou"))
-            for a, b in STEPS_OF_LADDER
+            for a, b in COMPARED_METHODS
             for labels in LABELS
         }
     )
     rows = []
-    for a, b in STEPS_OF_LADDER:
+    for a, b in COMPARED_METHODS:
         for labels in LABELS:
             ahead = np.array(column(log, a, f"{labels} iou")) - np.array(column(log, b, f"{labels} iou"))
             rows.append(

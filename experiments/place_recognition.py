@@ -1,6 +1,6 @@
-"""Two ways of recognising places: branch and bound over score grids, and ORB features of density maps.
+"""Two methods of place recognition: branch and bound over score grids, and ORB features of density maps.
 
-Over 400 lines because two ways of recognising places are judged on the same pairs by the same figures.
+Over 400 lines because two methods of place recognition are compared on the same pairs by the same figures.
 """
 
 import importlib
@@ -65,7 +65,7 @@ SETTINGS: tuple[Setting, ...] = (
 QUICK_SETTINGS = (SETTINGS[3], SETTINGS[-1])
 
 COLUMNS = (
-    "way",
+    "method",
     "drift [m]",
     "found, same direction",
     "found, opposite",
@@ -96,7 +96,7 @@ class Places:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answer:
-    """What a way says about a pair: a relative pose or none, how sure it is, and how long it took."""
+    """What a method says about a pair: a relative pose or none, how sure it is, and how long it took."""
 
     T_target_source: FloatArray | None
     n_inliers: int = 0
@@ -285,7 +285,7 @@ def cell(
     n_pairs: int,
     settings: Sequence[Setting],
 ) -> Scores:
-    """Ask both ways about the pairs of one log."""
+    """Ask both methods about the pairs of one log."""
     package = map_closures()
     places = collect(log, path, n_scans)
     submaps = [replace(submap, component=0) for submap in places.closer.submaps]
@@ -390,12 +390,12 @@ def best_setting(scores: dict[str, Scores], names: Sequence[str]) -> str:
     return max(names, key=mean)
 
 
-def row(way: str, drift: str, score: dict[str, float], n: dict[str, int]) -> list[str]:
+def row(method: str, drift: str, score: dict[str, float], n: dict[str, int]) -> list[str]:
     """One line of a log's table."""
     has_positives = drift != ELSEWHERE
     found = score["same"] + score["opposite"]
     return [
-        way,
+        method,
         drift,
         percent(score["same"], n["same"]) if has_positives else "-",
         percent(score["opposite"], n["opposite"]) if has_positives else "-",
@@ -407,7 +407,7 @@ def row(way: str, drift: str, score: dict[str, float], n: dict[str, int]) -> lis
 
 
 def log_table(log: str, own: Scores, setting: str) -> Table:
-    """All ways on one log."""
+    """All methods on one log."""
     n, density = own["n"], own["density"][setting]
     rows = []
     for drift, both in own["search"].items():
@@ -442,7 +442,7 @@ def settings_table(scores: dict[str, Scores], names: Sequence[str], best: str) -
 
 
 def conclusion(scores: dict[str, Scores], setting: str) -> str:
-    """Which way finds more at full precision, log by log; ours has to have no wrong answer elsewhere either."""
+    """Which method finds more at full precision, log by log; ours has to have no wrong answer elsewhere either."""
     said = []
     for log, own in scores.items():
         n, density = own["n"], own["density"][setting]
@@ -504,11 +504,11 @@ def experiment(options: Options) -> None:
         " anchors' headings less than 60 degrees apart (same direction) or more than 120 (opposite). Negatives:"
         f" centres more than {FAR_M:g} m apart; laser ranges overlap in some of them, so that a right answer is"
         f" possible. Right: within {WRONG_M:g} m and {WRONG_DEG:g} degrees of the truth, which is the simulation's,"
-        " of the recorded log the final graph's (so it is made by the closures of our own way). Pairs of one log"
+        " of the recorded log the final graph's (so it is made by the closures of our own method). Pairs of one log"
         " share walls, and are not independent.",
         "",
         "search (ours): branch and bound within 8 m and 0.8 rad of the believed pose, refused if ambiguous, then"
-        " the closer's own verification. The believed pose is the true one carried off by the drift and turned by"
+        " the closer's own verification. The believed pose is the true one displaced by the drift and turned by"
         f" up to 20 degrees; `{ELSEWHERE}`: negatives believed to lie 1 m from each other, centre to centre."
         " `search alone`: the same without verification, with the time of both. The closer itself searches as far as"
         " its covariance says, and its joint decision comes after the verification: a wrong answer here is one that"
@@ -518,14 +518,14 @@ def experiment(options: Options) -> None:
         f" drift is all the same to it. Points: one for each 5 cm (thin) or all; a margin of {ORB_EDGE} cells, since"
         f" ORB looks at nothing within 31 of the border. Setting `{best}` has the highest mean recall after"
         " verification; it and the number of inliers at full precision are chosen after the fact on the same pairs,"
-        " which favours this way; that the local maps are small (a few metres of path) does not."
+        " which favours this method; that the local maps are small (a few metres of path) does not."
         f" `verified`: at least {MIN_INLIERS} inliers, then the verification of ours from that pose.",
         "",
         "Times: the target is ready beforehand, the source is new; under the load of all processes.",
     ]
     tables = [log_table(log, own, best) for log, own in scores.items()]
     tables.append(settings_table(scores, names, best))
-    write_tables("place_recognition", "Two ways of recognising places", notes, tables, options)
+    write_tables("place_recognition", "Two methods of place recognition", notes, tables, options)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation import Relations, read_relations
 from slammot_graph.simulation import SimulatedLog, inject, inject_along
 
-MIN_WAY_M = 2.0
+MIN_DISTANCE_M = 2.0
 """Who got this far from where he was first seen is a person."""
 
 NEAR_M = 0.6
@@ -26,7 +26,7 @@ BACKWARD_S = 1.0
 class Reference:
     """What a `graph` run over the log as recorded says.
 
-    `people` (k, 3): scan and place [m] of objects that displaced `MIN_WAY_M`, who are in the log though nobody
+    `people` (k, 3): scan and place [m] of objects that moved `MIN_DISTANCE_M`, who are in the log though nobody
     labelled them.
     """
 
@@ -69,14 +69,14 @@ def make_reference(name: str, options: Options, max_scans: int | None = None) ->
             p_occupied=result.grid.p_occupied,
             resolution_m=result.grid.resolution_m,
             origin=result.grid.origin,
-            people=_who_walked(result.tracks),
+            people=_displaced_tracks(result.tracks),
         )
     unfinished.rename(path)
     return str(path)
 
 
-def _who_walked(tracks: FloatArray) -> FloatArray:
-    """(k, 3) scan and place of the tracks, as in `RunResult.tracks`, that got `MIN_WAY_M` away from their start.
+def _displaced_tracks(tracks: FloatArray) -> FloatArray:
+    """(k, 3) scan and place of the tracks, as in `RunResult.tracks`, that got `MIN_DISTANCE_M` away from their start.
 
     A second before its first sight each is continued backward, since a track begins late.
     """
@@ -84,7 +84,7 @@ def _who_walked(tracks: FloatArray) -> FloatArray:
     for number in np.unique(tracks[:, 1]):
         track = tracks[tracks[:, 1] == number]
         distance_m = np.hypot(*(track[:, 2:4] - track[0, 2:4]).T).max()
-        if distance_m < MIN_WAY_M:
+        if distance_m < MIN_DISTANCE_M:
             continue
         first = int(track[0, 9])
         n = max(1, int(len(track) * BACKWARD_S / max(track[-1, 0] - track[0, 0], BACKWARD_S)))

@@ -33,6 +33,7 @@ from slammot_graph.detection import _cluster_kernels, _kernels
 from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
+from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
 from slammot_graph.run import make_pipeline
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
@@ -154,13 +155,17 @@ def measure_kernels(source: str, n_scans: int) -> dict[str, Any]:
                 kernel = getattr(module, name)
                 wrapped = timed(name, kernel, repeat=name in REPEATED)
                 patches.enter_context(patch.object(module, name, wrapped))
-        pipeline = make_pipeline(get_method("graph").config)
+        config = get_method("graph").config
+        assert isinstance(config, PipelineConfig)
+        pipeline = Pipeline(config)
+        tested = pipeline.detector.grid
+        assert tested is not None
         for scan in scans:
             in_step.clear()
             again.clear()
             step = pipeline.step(replace(scan))
             n_points = int(np.count_nonzero(step.is_valid & ~step.is_moving))
-            touched = int(np.count_nonzero(pipeline.detector.grid.stamp == scan.index))
+            touched = int(np.count_nonzero(tested.stamp == scan.index))
             rows.append(
                 {
                     "step": 1e3 * step.stage_ms["step"] - sum(again.values()),
@@ -238,7 +243,7 @@ def _stage_statistics(took: list[Mapping[str, float]]) -> dict[str, list[float]]
 def _endless(log: SimulatedLog, n_scans: int) -> Iterator[Scan]:
     """Drive a short log to and fro until there are enough scans.
 
-    Of the log the poses and ranges are taken again, backwards on every second way; so the robot never jumps, and
+    Of the log the poses and ranges are taken again, backwards on every second pass; so the robot never jumps, and
     a scan looks the same where it comes by again, but the odometry over the whole drive is drawn anew and drifts on.
     """
     n = log.n_scans
@@ -466,7 +471,7 @@ def experiment(options: SpeedOptions) -> None:
     )
     growth = (
         "The long run drives one lap of the simulated office to and fro, its ranges taken again, its odometry drawn"
-        f" anew over the whole way{'' if options.scans is None else f'; its length from --scans {options.scans}'}."
+        f" anew over the whole distance{'' if options.scans is None else f'; its length from --scans {options.scans}'}."
         " Where the time goes: kernels within a step, medians, so that those of a keyframe (normals, insertion) show 0;"
         " the memory's speed is that of copying 64 MB."
         " Peak memory of all methods together in one process: " + "; ".join(peaks) + "."

@@ -25,13 +25,14 @@ from itertools import pairwise
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slammot_graph import get_method
+from slammot_graph import PipelineConfig, get_method
 from slammot_graph.core import se2
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.ellipse_test import detect_moving, end_point_covariances
 from slammot_graph.detection.reasons import REASONS
 from slammot_graph.evaluation import evaluate_points, pose_errors, relative_error
+from slammot_graph.localization.config import ScanToScanConfig
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
-from slammot_graph.pipeline import PipelineConfig
 from slammot_graph.registration.point_to_point import match_scans
 from slammot_graph.simulation import simulate
 
@@ -41,6 +42,9 @@ from experiments.paper import draw_map_panel, draw_walker_panel, shown
 
 config = get_method("docpfo").config
 assert isinstance(config, PipelineConfig)
+localizer, detector = config.localizer, config.detector
+assert isinstance(localizer, ScanToScanConfig)
+assert isinstance(detector, EllipseDetectorConfig)
 log = simulate("two-walkers", seed=0)
 scans = list(log)
 shown_scan = 111  # the one to look at closely
@@ -53,7 +57,7 @@ print(
 #
 # A laser point in the map is uncertain for two reasons. The robot does not know exactly where it is: that is R_r, the
 # covariance of its pose. And the beam itself has noise in range and angle: that is R_l. The paper adds the two, each
-# carried to the end point by its Jacobian (eq. 9):
+# propagated to the end point by its Jacobian (eq. 9):
 #
 # $$R_p = H_r R_r H_r^T + H_l R_l H_l^T$$
 #
@@ -61,12 +65,13 @@ print(
 # R_l, and its angle makes the ellipse grow with the range: 0.05 rad is half a metre at 10 m.
 
 # %%
-R_r = config.detector.test_covariance.covariance(se2.IDENTITY)
+assert not isinstance(detector.test_covariance, str)
+R_r = detector.test_covariance.covariance(se2.IDENTITY)
 scan = scans[shown_scan]
 is_valid = scan.is_valid(config.max_range_m)
 T_world_base = log.T_world_base[shown_scan]
-both = end_point_covariances(scan, T_world_base, R_r, config.detector.ellipse_test)
-beam_only = end_point_covariances(scan, T_world_base, np.zeros((3, 3)), config.detector.ellipse_test)
+both = end_point_covariances(scan, T_world_base, R_r, detector.ellipse_test)
+beam_only = end_point_covariances(scan, T_world_base, np.zeros((3, 3)), detector.ellipse_test)
 
 figure, axes = plt.subplots(figsize=(6, 3.4), layout="constrained")
 for cov, name in ((both, "R_r and R_l"), (beam_only, "R_l alone")):
@@ -122,9 +127,7 @@ plt.show()
 # person.
 
 # %%
-found = detect_moving(
-    scan, is_valid, T_world_base, R_r, grid, config.detector.ellipse_test, config.detector.clusters
-)
+found = detect_moving(scan, is_valid, T_world_base, R_r, grid, detector.ellipse_test, detector.clusters)
 points = scan.points(T_world_base)
 
 figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
@@ -182,7 +185,7 @@ for before, after in pairwise(scans):
         if name != "all points":
             use = [mask & ~log.is_moving[s.index] for mask, s in zip(use, (before, after), strict=True)]
         match = match_scans(
-            before.points_base(), use[0], after.points_base(), use[1], start, config.localizer.point_to_point
+            before.points_base(), use[0], after.points_base(), use[1], start, localizer.point_to_point
         )
         values.append(np.hypot(*pose_errors(match.T_ref_base[None], motion[None])[0, :2]))
 
@@ -228,7 +231,7 @@ plt.show()
 #
 # - **R_r is constant and large.** Its ellipses reach a wall from far away, so a person near one counts as static. From
 #   one scan to the next, the odometry of this robot is much better than R_r says.
-# - **The map takes all points.** People draw their own way into the map. Where one was seen, cells are no longer free,
+# - **The map takes all points.** People draw their own path into the map. Where one was seen, cells are no longer free,
 #   and who walks there counts as static until enough beams have crossed them again.
 # - **Matching point to point, from scan to scan, adds up its errors.** The beams of two scans hardly ever hit the
 #   same places, which biases each match, with or without people. Over a metre the filter helps; over the whole drive

@@ -29,9 +29,8 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 
-from slammot_graph import Run, get_method
+from slammot_graph import PipelineConfig, Run, get_method
 from slammot_graph.evaluation import evaluate_points
-from slammot_graph.pipeline import PipelineConfig, TestCovariance
 from slammot_graph.simulation import simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder
@@ -58,7 +57,7 @@ print(f"{log.n_scans} scans over {path_m[-1]:.0f} m, {log.objects.shape[1]} peop
 
 # %%
 shown_scan = 1175
-METHODS: dict[TestCovariance, str] = {
+METHODS = {
     "relative": "graph",
     "constant": "graph-fixed",
     "absolute": "graph-absolute",

@@ -25,8 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import Markdown, display
 
-from slammot_graph import Run
-from slammot_graph.core.results import RunResult
+from slammot_graph import Run, RunResult
 from slammot_graph.evaluation import absolute_error, evaluate_points, relative_error
 from slammot_graph.simulation import SimulatedLog, simulate
 

@@ -1,4 +1,4 @@
-"""The ladder of methods: a name for each frozen configuration, each rung one change."""
+"""The method registry: a name for each frozen configuration; an ablation changes one field."""
 
 from dataclasses import dataclass, replace
 

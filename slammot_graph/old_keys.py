@@ -5,7 +5,7 @@ In that release zeros and flags switched parts off whose other keys stayed in th
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
@@ -53,6 +53,7 @@ MOVED = {
     "free_no_return_m": "detector.local_grid.no_return",
     "occupy_with_moving": "grid.occupy_with_moving",
     "tracks": "tracker",
+    "tracks.min_way_m": "tracker.min_distance_m",
 }
 """New path of each old key; the longest one that a key begins with counts."""
 
@@ -100,41 +101,12 @@ def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: 
     if not any(key in MOVED for key in values):
         return values
     old = dict(_leaves(values))
-    localizer = _LOCALIZERS.get(old.get("matcher", ""), type(default.localizer))
-    has_graph = localizer is ScanToMapConfig
-    detector = default.detector if isinstance(default.detector, EllipseDetectorConfig) else None
-    has_detector = old.get("filter_moving", detector is not None)
-    is_constant = old.get("test_covariance", "constant") == "constant" and (
-        "test_covariance" in old
-        or (detector is not None and isinstance(detector.test_covariance, ConstantNoise))
-    )
-    new: dict[str, Any] = {}
-    told: dict[str, str] = {}
-    for key, value in old.items():
-        root = next((root for root in _roots(key) if root in MOVED), None)
-        path = key if root is None else MOVED[root] + key[len(root) :]
-        if root is not None:
-            told[root] = MOVED[root]
-        if key.startswith("constant_noise.") and not is_constant:
-            continue
-        if key == "free_no_return_m" and not has_graph:
-            path = "grid.no_return"
-        _put(new, path, _CONVERTED[key](value) if key in _CONVERTED else value)
-        if key == "occupy_with_moving":
-            _put(new, "detector.local_grid.occupy_with_moving", value)
+    parts = _Parts.of(old, default)
+    new, told = _moved(old, parts)
     for path, switch in _SWITCHES.items():
         if switch not in old and _at(default, path) is None:
             _remove(new, path)
-    if "localizer" in new:
-        known = {"type", *(field.name for field in fields(localizer))}
-        new["localizer"] = {key: value for key, value in new["localizer"].items() if key in known}
-    if not has_detector:
-        new["detector"] = {"type": NoDetectionConfig.__name__}
-        new["tracker"] = {"type": NoTrackingConfig.__name__}
-    elif not has_graph:
-        _put(new, "detector.local_grid", "none")
-    elif detector is None or detector.local_grid is None:
-        _put(new, "detector.local_grid", {})
+    _fit(new, parts)
     text = ", ".join(f"{key} -> {path}" for key, path in told.items())
     warnings.warn(
         f"{source}: these keys have moved, the next release will not know them: {text}",
@@ -142,6 +114,66 @@ def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: 
         stacklevel=2,
     )
     return new
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Parts:
+    """The parts that old values and what they are laid over have together."""
+
+    localizer: type[Any]
+    has_detector: bool
+    has_local_grid_by_default: bool
+    has_constant_noise: bool
+
+    @property
+    def has_graph(self) -> bool:
+        return self.localizer is ScanToMapConfig
+
+    @classmethod
+    def of(cls, old: Mapping[str, Any], default: "PipelineConfig") -> "_Parts":
+        detector = default.detector if isinstance(default.detector, EllipseDetectorConfig) else None
+        noise = old.get("test_covariance")
+        if noise is None and detector is not None:
+            noise = "constant" if isinstance(detector.test_covariance, ConstantNoise) else None
+        return cls(
+            localizer=_LOCALIZERS.get(old.get("matcher", ""), type(default.localizer)),
+            has_detector=old.get("filter_moving", detector is not None),
+            has_local_grid_by_default=detector is not None and detector.local_grid is not None,
+            has_constant_noise=noise == "constant",
+        )
+
+
+def _moved(old: Mapping[str, Any], parts: _Parts) -> tuple[dict[str, Any], dict[str, str]]:
+    """Give the values (dotted keys) as nested ones under their new keys, and which roots have moved where."""
+    new: dict[str, Any] = {}
+    told: dict[str, str] = {}
+    for key, value in old.items():
+        root = next((root for root in _roots(key) if root in MOVED), None)
+        path = key if root is None else MOVED[root] + key[len(root) :]
+        if root is not None:
+            told[root] = MOVED[root]
+        if key.startswith("constant_noise.") and not parts.has_constant_noise:
+            continue
+        if key == "free_no_return_m" and not parts.has_graph:
+            path = "grid.no_return"
+        _put(new, path, _CONVERTED[key](value) if key in _CONVERTED else value)
+        if key == "occupy_with_moving":
+            _put(new, "detector.local_grid.occupy_with_moving", value)
+    return new, told
+
+
+def _fit(new: dict[str, Any], parts: _Parts) -> None:
+    """Leave out what the parts do not know, as old files named the keys of all of them; put in what they need."""
+    if "localizer" in new:
+        known = {"type", *(field.name for field in fields(parts.localizer))}
+        new["localizer"] = {key: value for key, value in new["localizer"].items() if key in known}
+    if not parts.has_detector:
+        new["detector"] = {"type": NoDetectionConfig.__name__}
+        new["tracker"] = {"type": NoTrackingConfig.__name__}
+    elif not parts.has_graph:
+        _put(new, "detector.local_grid", "none")
+    elif not parts.has_local_grid_by_default:
+        _put(new, "detector.local_grid", {})
 
 
 def _leaves(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:

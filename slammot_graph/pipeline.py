@@ -138,7 +138,7 @@ class Pipeline:
         )
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:
-        """Judge every scan again at its optimised pose (n, 3); None for a method without a backward pass."""
+        """Test every scan again at its optimised pose (n, 3); None for a method without a backward pass."""
         tracker = make_tracker(self.config.tracker)
         return self.detector.retrospective_labels(self._history, T_map_base, tracker)
 

@@ -12,6 +12,7 @@ import numpy as np
 from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
 from slammot_graph.conclusion import Outcome, conclude
 from slammot_graph.core import se2
+from slammot_graph.core._numba import is_compiled
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.core.events import Event
@@ -25,11 +26,17 @@ from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import Config, get_method
 from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
+from slammot_graph.registration._solve_kernels import match_point_to_line
 
 
 def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
     """Build what a method's configuration describes."""
     return KissIcpPipeline(config) if isinstance(config, KissIcpConfig) else Pipeline(config)
+
+
+def has_compiled_kernels() -> bool:
+    """Tell whether the machine code of the kernels lies on disk: without it the first scans wait for the compiler."""
+    return is_compiled(match_point_to_line)
 
 
 class Run:
@@ -43,7 +50,7 @@ class Run:
     log : iterable of Scan
         A `LaserLog`, or any other source of scans; a live one need not know its length and is not read twice.
     method : str
-        A name of the ladder.
+        A name of the method registry.
     config : PipelineConfig or KissIcpConfig, optional
         In place of the method's own.
     max_range_m : float, optional

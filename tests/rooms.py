@@ -10,6 +10,8 @@ from slammot_graph.core import se2
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs.source import SkippedScan
+from slammot_graph.methods import get_method
+from slammot_graph.pipeline_config import PipelineConfig
 
 LASER = LaserModel(
     angle_min=-np.deg2rad(135.0),
@@ -156,6 +158,13 @@ def kidnapped(log: ListLog, start: int) -> ListLog:
         assert scan.truth.T_world_base is not None
         scan.ranges[:] = take_scan(scan.truth.T_world_base, walls=HALL).ranges
     return log
+
+
+def pipeline_config(method: str) -> PipelineConfig:
+    """The configuration of a method that is no baseline."""
+    config = get_method(method).config
+    assert isinstance(config, PipelineConfig)
+    return config
 
 
 def truth_from_start(log: ListLog) -> FloatArray:

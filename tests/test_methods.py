@@ -30,9 +30,9 @@ def differing(first: Any, second: Any, path: str = "") -> Iterator[str]:
 
 
 def test_the_ladder_has_its_rungs() -> None:
-    rungs = {"odometry", "icp", "docpfo", "graph", "kiss-icp", "kiss-icp-odometry"}
+    main = {"odometry", "icp", "docpfo", "graph", "kiss-icp", "kiss-icp-odometry"}
     ablations = {"graph-fixed", "graph-absolute", "graph-nofilter", "graph-noloop"}
-    assert rungs | ablations <= set(METHODS)
+    assert main | ablations <= set(METHODS)
     assert all(name == method.name and method.summary for name, method in METHODS.items())
 
 

@@ -19,7 +19,7 @@ def test_there_are_notebooks() -> None:
     assert len(NOTEBOOKS) == 4
 
 
-PARTS = {"core", "detection", "mapping", "registration"}
+PARTS = {"core", "detection", "localization", "mapping", "registration"}
 """Shown one by one in the first notebook, which looks inside a step."""
 
 

@@ -14,7 +14,7 @@ from slammot_graph.observer import Observer, RunInfo, RunView, read_only
 from slammot_graph.pipeline import Pipeline
 from tests.loop_closure.ring import ring_log
 from tests.rooms import drive
-from tests.viz.test_recording import assert_same_results
+from tests.viz.rerun.recordings import assert_same_results
 
 
 class Diary(Observer):

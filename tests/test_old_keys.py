@@ -16,87 +16,10 @@ from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
-OLD_GRAPH = """
-matcher = "scan-to-map"
-filter_moving = true
-test_covariance = "relative"
-judge_again = true
-crowd_share = 0.15
-hindsight = true
-occupy_with_moving = false
-max_range_m = 40.0
-free_no_return_m = 5.0
-n_window_keyframes = 60
-n_lost = 5
-close_loops = true
-[constant_noise]
-x_std_m = 0.1
-[grid]
-p_hit = 0.7
-[local_grid]
-p_hit = 0.75
-[motion]
-margin_cells = 1
-track_reach_m = 0.4
-stand_back_share = 0.75
-stand_back_nis = 50.0
-is_common_mode = false
-[clusters]
-max_gap_m = 0.6
-split_gap_m = 0.15
-split_min_points = 8
-[tracks]
-gate = 9.21
-[afterimage]
-reach_m = 0.5
-way_m = 0.3
-[local_map]
-cell_m = 0.05
-[point_to_line]
-common_std_m = 0.001
-common_std_rad = 0.0004
-[point_to_point]
-tau_m = 1e-5
-[graph]
-prior_std_m = 1e-4
-[closure]
-max_contradiction = 0.2
-surprise = 4.0
-[closure.point_to_line]
-common_std_m = 0.001
-"""
-
-OLD_PAPER = """
-matcher = "scan-to-scan"
-filter_moving = true
-test_covariance = "constant"
-judge_again = false
-crowd_share = 0.15
-hindsight = false
-occupy_with_moving = true
-free_no_return_m = 5.0
-n_window_keyframes = 60
-n_lost = 5
-close_loops = true
-[constant_noise]
-x_std_m = 0.1
-[grid]
-fill_gaps = false
-[local_grid]
-p_hit = 0.75
-[motion]
-margin_cells = 0
-track_reach_m = 0.0
-stand_back_nis = 50.0
-[clusters]
-split_gap_m = 0.0
-split_min_points = 8
-[afterimage]
-reach_m = 0.0
-way_m = 0.3
-[local_map]
-cell_m = 0.05
-"""
+SETTINGS = Path(__file__).parent / "settings_of_0_1"
+"""Whole files of two methods, as release 0.1 wrote them."""
+OLD_GRAPH = (SETTINGS / "graph.toml").read_text(encoding="utf-8")
+OLD_PAPER = (SETTINGS / "docpfo.toml").read_text(encoding="utf-8")
 
 
 def load(tmp_path: Path, text: str, method: str = "graph") -> PipelineConfig:

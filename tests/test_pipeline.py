@@ -14,23 +14,24 @@ from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig, Rete
 from slammot_graph.detection.ellipse_test import detect_moving
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig
-from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from tests.rooms import (
     LASER,
     ROOM,
     ListLog,
-    carried,
     cast,
-    covered,
     drive,
     errors,
+    is_person,
+    kidnapped,
+    occluded,
     odometry_of,
+    pipeline_config,
     truth_from_start,
 )
 
 GRAPH = PipelineConfig()
-DOCPFO = METHODS["docpfo"].config
+DOCPFO = pipeline_config("docpfo")
 
 
 def run(log: ListLog, config: PipelineConfig = GRAPH) -> tuple[Pipeline, list[StepResult]]:
@@ -40,19 +41,19 @@ def run(log: ListLog, config: PipelineConfig = GRAPH) -> tuple[Pipeline, list[St
     return pipeline, steps
 
 
-def moving(scan: Scan) -> np.ndarray:
+def true_pose(scan: Scan) -> FloatArray:
     assert scan.truth is not None
-    assert scan.truth.is_moving is not None
-    return scan.truth.is_moving
+    assert scan.truth.T_world_base is not None
+    return scan.truth.T_world_base
 
 
 def recall_and_precision(steps: list[StepResult]) -> tuple[float, float]:
-    truth = np.array([moving(step.scan) for step in steps])
+    truth = np.array([is_person(step.scan) for step in steps])
     found = np.array([step.is_moving for step in steps])
     return (truth & found).sum() / truth.sum(), (truth & found).sum() / max(found.sum(), 1)
 
 
-def test_graph_finds_its_way_and_the_person() -> None:
+def test_graph_localizes_and_finds_the_person() -> None:
     log = drive(100)
     pipeline, steps = run(log)
     truth = truth_from_start(log)
@@ -70,7 +71,7 @@ def test_graph_finds_its_way_and_the_person() -> None:
 def test_the_person_is_tracked_where_he_walks() -> None:
     pipeline, steps = run(drive(100))
     start = pipeline.final().T_map_base[0]
-    T_start = steps[0].scan.truth.T_world_base  # type: ignore[union-attr]
+    T_start = true_pose(steps[0].scan)
     np.testing.assert_allclose(start, 0.0, atol=1e-9)
     distances = []
     for step in steps[20:]:
@@ -94,7 +95,7 @@ def test_the_map_holds_the_walls_and_not_the_person() -> None:
     pipeline.close()
     rows, cols = np.nonzero(rendered.p_occupied > 0.65)
     centres = rendered.origin + rendered.resolution_m * (np.column_stack([cols, rows]) + 0.5)
-    world = se2.transform(log.scans[0].truth.T_world_base, centres)  # type: ignore[union-attr, arg-type]
+    world = se2.transform(true_pose(log.scans[0]), centres)
     # distance to the nearest wall, by rays to all sides
     angles = np.linspace(-np.pi, np.pi, 72, endpoint=False)
     nothing = np.empty((0, 3))
@@ -109,7 +110,7 @@ def test_moving_points_fill_the_map_only_if_asked_for() -> None:
         run(log, replace(GRAPH, grid=GridConfig(occupy_with_moving=value)))[0] for value in (False, True)
     )
     last = log.scans[quiet.final().node_scans[-1]]
-    place = last.points(quiet.final().nodes[-1])[moving(last)]
+    place = last.points(quiet.final().nodes[-1])[is_person(last)]
     log_odds = []
     for pipeline in (quiet, ghostly):
         rendered = pipeline.render_map()
@@ -154,8 +155,8 @@ def test_each_step_is_whole() -> None:
 def test_the_tests_covariance_is_the_one_asked_for() -> None:
     log = drive(12)
     relative = run(log, GRAPH)[1][-1]
-    constant = run(log, METHODS["graph-fixed"].config)[1][-1]  # type: ignore[arg-type]
-    absolute = run(log, METHODS["graph-absolute"].config)[1][-1]  # type: ignore[arg-type]
+    constant = run(log, pipeline_config("graph-fixed"))[1][-1]
+    absolute = run(log, pipeline_config("graph-absolute"))[1][-1]
     np.testing.assert_allclose(constant.cov_relative, np.diag([0.01, 0.01, 0.0025]))
     assert np.trace(relative.cov_relative) < np.trace(constant.cov_relative)
     assert np.trace(absolute.cov_relative) >= np.trace(relative.cov_relative)
@@ -164,7 +165,7 @@ def test_the_tests_covariance_is_the_one_asked_for() -> None:
 def test_docpfo_and_icp_differ_in_the_filter() -> None:
     log = drive(30)
     _, paper = run(log, DOCPFO)
-    _, icp = run(log, METHODS["icp"].config)
+    _, icp = run(log, pipeline_config("icp"))
     assert not any(step.is_moving.any() for step in icp)
     assert any(step.is_moving.any() for step in paper)
     for step in paper[1:]:
@@ -174,7 +175,7 @@ def test_docpfo_and_icp_differ_in_the_filter() -> None:
 
 
 def test_without_a_filter_nothing_moves() -> None:
-    pipeline, steps = run(drive(40), METHODS["graph-nofilter"].config)
+    pipeline, steps = run(drive(40), pipeline_config("graph-nofilter"))
     assert not any(step.is_moving.any() for step in steps)
     assert not any(step.tracks for step in steps)
     pipeline.close()
@@ -205,7 +206,7 @@ def test_moving_points_are_left_out_of_the_match_and_of_the_occupied_cells(
         np.testing.assert_array_equal(is_beam, step.is_valid)
         np.testing.assert_array_equal(is_hit, step.is_valid & ~step.is_moving)
     found = np.array([step.is_valid & ~mask for step, mask in zip(steps, matched_masks, strict=True)])
-    truth = np.array([moving(step.scan) for step in steps])
+    truth = np.array([is_person(step.scan) for step in steps])
     assert (found & truth)[20:].sum() > 0.5 * truth[20:].sum()
 
 
@@ -240,7 +241,7 @@ def spoilt(log: ListLog, rng: np.random.Generator) -> ListLog:
 
 @pytest.mark.parametrize("name", ["odometry", "icp", "docpfo", "graph", "graph-fixed", "graph-nofilter"])
 def test_beams_that_are_no_measurements_are_borne(name: str, rng: np.random.Generator) -> None:
-    pipeline, steps = run(spoilt(drive(15), rng), METHODS[name].config)  # type: ignore[arg-type]
+    pipeline, steps = run(spoilt(drive(15), rng), pipeline_config(name))
     assert np.isfinite([step.T_map_base for step in steps]).all()
     assert np.isfinite([step.cov_map for step in steps]).all()
     for step in steps:
@@ -266,7 +267,7 @@ def test_scans_of_different_lasers_may_follow_each_other() -> None:
     pipeline.close()
 
 
-def test_a_covered_laser_is_bridged_by_odometry() -> None:
+def test_an_occluded_laser_is_bridged_by_odometry() -> None:
     log = drive(60)
     for k in (30, 31):
         log.scans[k].ranges[:] = np.inf
@@ -304,31 +305,32 @@ def test_a_jump_of_the_odometry_is_survived() -> None:
     assert np.isfinite(final.T_map_base).all()
     assert np.isfinite(final.cov_map).all()
     truth = truth_from_start(log)
-    # the way before the jump is whole, and so is the way after it in itself
+    # the path before the jump is right, and so is the path after it in itself
     assert errors(truth[:30], final.T_map_base[:30])[0] < 0.03
     after = se2.between(final.T_map_base[45], final.T_map_base[45:])
     assert errors(se2.between(truth[45], truth[45:]), after)[0] < 0.05
-    # and so is the way across it: the jump is the odometry's, not the robot's
+    # and so is the path across it: the jump is the odometry's, not the robot's
     assert errors(truth, final.T_map_base)[0] < 0.05
     pipeline.close()
 
 
 def test_after_failures_in_a_row_a_new_local_map_begins() -> None:
-    pipeline, steps = run(carried(drive(40), 25), PipelineConfig(localizer=ScanToMapConfig(n_lost=3)))
+    pipeline, steps = run(kidnapped(drive(40), 25), PipelineConfig(localizer=ScanToMapConfig(n_lost=3)))
     told = {step.scan.index: step.events for step in steps if step.events}
     assert [len(events) for events in told.values()] == [1, 1, 2]
     last = max(told)
     assert min(told) == 25
     assert told[last][1].text == "lost: 3 matches failed in a row, a new local map begins here"
     assert steps[last].node is not None
-    assert steps[last + 1].match is not None
-    assert steps[last + 1].match.status == "converged"
+    after = steps[last + 1].match
+    assert after is not None
+    assert after.status == "converged"
     assert np.isfinite(pipeline.final().T_map_base).all()
     pipeline.close()
 
 
-def test_a_covered_laser_loses_nothing_however_long() -> None:
-    log = covered(drive(60), *range(30, 45))
+def test_an_occluded_laser_loses_nothing_however_long() -> None:
+    log = occluded(drive(60), *range(30, 45))
     pipeline, steps = run(log, PipelineConfig(localizer=ScanToMapConfig(n_lost=3)))
     assert [step.scan.index for step in steps if step.events] == list(range(30, 45))
     texts = [event.text for step in steps[30:45] for event in step.events]
@@ -356,14 +358,14 @@ def test_a_pipeline_closes_itself() -> None:
 
 def test_a_method_without_a_test_has_no_grid_to_crop() -> None:
     for name in ("graph-nofilter", "icp", "odometry"):
-        with Pipeline(METHODS[name].config) as pipeline:  # type: ignore[arg-type]
+        with Pipeline(pipeline_config(name)) as pipeline:
             assert pipeline.detector.grid is None
             with pytest.raises(ValueError, match="makes no test"):
                 pipeline.crop_test_grid(np.zeros(2), 1.0)
 
 
 def test_the_paper_tests_the_map_itself() -> None:
-    with Pipeline(DOCPFO) as pipeline:  # type: ignore[arg-type]
+    with Pipeline(DOCPFO) as pipeline:
         assert pipeline.grid is not None
         assert pipeline.detector.grid is pipeline.grid
     with Pipeline(GRAPH) as pipeline:

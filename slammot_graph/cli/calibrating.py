@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from slammot_graph.logs import LaserLog
     from slammot_graph.odometry.noise import OdometryNoise
     from slammot_graph.odometry.self_calibration import Calibration, Windows
-    from slammot_graph.pipeline import PipelineConfig
+    from slammot_graph.pipeline_config import PipelineConfig
     from slammot_graph.run import Run
 
 
@@ -121,7 +121,7 @@ def _settings(method: str) -> "tuple[PipelineConfig, OdometryNoise]":
     """Give the method's configuration and the noise that it has now."""
     from slammot_graph.methods import get_method
     from slammot_graph.odometry.noise import OdometryNoise
-    from slammot_graph.pipeline import PipelineConfig
+    from slammot_graph.pipeline_config import PipelineConfig
 
     config = get_method(method).config
     if not isinstance(config, PipelineConfig) or not config.has_graph:

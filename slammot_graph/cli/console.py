@@ -176,7 +176,7 @@ def progress(
     what : str
         What is counted, in the plural.
     passed_over : sized
-        What needs no work and may grow on the way.
+        What needs no work and may grow meanwhile.
 
     Yields
     ------

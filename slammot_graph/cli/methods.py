@@ -9,7 +9,7 @@ from slammot_graph.cli.console import EXIT_OK, stdout
 
 
 def methods_command() -> int:
-    """List the methods, each a rung of a ladder: what it is, and what it changes."""
+    """List the methods of the registry: what each is, and what it changes."""
     from slammot_graph.methods import METHODS
 
     table = Table("method", "what it is", title="Methods")

@@ -181,7 +181,7 @@ def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path
     out.print(table)
     out.print(
         f"one log (seed {DEMO_SEED}); medians over 20 seeds stand in README.md. Precision, recall and IoU are of the"
-        " moving points by the final labels, which `graph` gives with hindsight",
+        " moving points by the final labels, which `graph` gives by a backward pass",
         soft_wrap=True,
     )
     recording = output / "graph" / "run.rrd"
@@ -238,10 +238,9 @@ def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> _
 @cache
 def _announce_compilation() -> None:
     """Say, once per process, why the first scan takes its time where the machine code is not there yet."""
-    from slammot_graph.core._numba import is_compiled
-    from slammot_graph.registration._solve_kernels import match_point_to_line
+    from slammot_graph import run
 
-    if not is_compiled(match_point_to_line):
+    if not run.has_compiled_kernels():
         stderr().print(
             "compiling the kernels, once: the first scans take about half a minute", soft_wrap=True
         )

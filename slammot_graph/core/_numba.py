@@ -1,4 +1,4 @@
-"""The one way in which this package compiles a kernel: cached on disk, without the GIL, and typed."""
+"""How this package compiles a kernel: cached on disk, without the GIL, and typed."""
 
 import inspect
 from collections.abc import Callable

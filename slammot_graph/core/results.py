@@ -232,6 +232,10 @@ class StepResult:
         return R @ self.packed_cov[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ R.T
 
 
+FREE_BELOW, OCCUPIED_ABOVE = 0.2, 0.8
+"""The paper's thresholds by which a finished map is written and drawn: between them a cell is unknown."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridMap:
     """An occupancy map: `p_occupied` (rows, cols), row 0 the lowest y, NaN where never seen.

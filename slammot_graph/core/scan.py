@@ -149,7 +149,7 @@ class Scan:
         return points
 
     def points(self, T_a_base: FloatArray) -> FloatArray:
-        """(n_beams, 2) end points carried into frame a [m] (eq. 2)."""
+        """(n_beams, 2) end points in frame a [m] (eq. 2)."""
         return se2.transform(T_a_base, self.points_base())
 
 

@@ -74,7 +74,7 @@ def between(T_a_b: FloatArray, T_a_c: FloatArray) -> FloatArray:
 
 
 def transform(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
-    """Carry points of frame b into frame a (the paper's RG on points, eq. 2 and 8).
+    """Transform points of frame b into frame a (the paper's RG on points, eq. 2 and 8).
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray)
 
 @kernel
 def transform_points(T_a_b: FloatArray, points_b: FloatArray, points_a: FloatArray) -> None:
-    """Fill `points_a` with `points_b`, both (n, 2), carried into frame a by one transform (3,)."""
+    """Fill `points_a` with `points_b`, both (n, 2), transformed into frame a by one transform (3,)."""
     c = math.cos(T_a_b[2])
     s = math.sin(T_a_b[2])
     for k in range(points_b.shape[0]):

@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection.reasons import DISCARDED, EMPTIED, FREE, STOOD_BACK, TRACKED, UNKNOWN
+from slammot_graph.detection.reasons import ABSTAINED, DISCARDED, FREE, TRACKED, UNKNOWN, VACATED
 
 
 @kernel
@@ -171,10 +171,10 @@ def group_moving(
     points: FloatArray,
     is_valid: BoolArray,
     vacated: FloatArray,
-    emptied_reach: float,
+    vacated_reach: float,
     expected: FloatArray,
     expected_reach: float,
-    stand_back_share: float,
+    abstain_share: float,
     max_gap: float,
     max_skipped_beams: int,
     min_points: int,
@@ -189,7 +189,7 @@ def group_moving(
     """Group the beams on free cells, then those on unknown ones near places (k, 2) that are empty now or expected.
 
     Takes `reason` (n,) from the test and completes it, fills `cluster` and `is_moving` (n,); returns the number of
-    clusters. If more than `stand_back_share` of the valid beams would move, none does.
+    clusters. If more than `abstain_share` of the valid beams would move, none does.
     """
     n = points.shape[0]
     is_near = np.empty(n, dtype=np.bool_)
@@ -205,7 +205,7 @@ def group_moving(
             reason[k] = DISCARDED
     for hint in range(2):
         places, reach, why, least = (
-            (vacated, emptied_reach, EMPTIED, min_points)
+            (vacated, vacated_reach, VACATED, min_points)
             if hint == 0
             else (expected, expected_reach, TRACKED, 1)
         )
@@ -225,11 +225,11 @@ def group_moving(
     for k in range(n):
         n_valid += is_valid[k]
         n_moving += is_moving[k]
-        if not is_moving[k] and (reason[k] == FREE or reason[k] == EMPTIED or reason[k] == TRACKED):
+        if not is_moving[k] and (reason[k] == FREE or reason[k] == VACATED or reason[k] == TRACKED):
             reason[k] = DISCARDED  # as when a wider group took it in
-    if n_clusters > 0 and n_moving > stand_back_share * n_valid:
+    if n_clusters > 0 and n_moving > abstain_share * n_valid:
         for k in range(n):
-            reason[k] = STOOD_BACK if is_moving[k] else reason[k]
+            reason[k] = ABSTAINED if is_moving[k] else reason[k]
             is_moving[k] = False
             cluster[k] = -1
         return 0

@@ -1,4 +1,4 @@
-"""Final labels: every scan judged again, at its best pose, with what was seen after it.
+"""Final labels: every scan tested again, at its best pose, with what was seen after it.
 
 The moving-point test runs once more from the last scan to the first. Who stood there when the laser first looked
 and displaced away later is found, since the cells were free afterwards; what was called moving online but was hit by
@@ -21,7 +21,7 @@ from slammot_graph.tracking.base import Tracker
 
 
 def retrospective_labels(
-    judged: Sequence[ScanRecord],
+    history: Sequence[ScanRecord],
     T_map_base: FloatArray,
     *,
     grid: GridConfig,
@@ -34,7 +34,7 @@ def retrospective_labels(
 
     Parameters
     ----------
-    judged : sequence of n `ScanRecord`
+    history : sequence of n `ScanRecord`
         In the order of the log.
     T_map_base : (n, 3) array
         Optimised poses.
@@ -47,13 +47,13 @@ def retrospective_labels(
     -------
     n bool arrays, one entry a beam.
     """
-    n = len(judged)
+    n = len(history)
     memory = OccupancyGrid(grid, window_m=window_m)
-    last_in_window = _last_in_window(judged)
+    last_in_window = _last_in_window(history)
     labels: list[BoolArray] = [np.empty(0, dtype=np.bool_)] * n
     for k in range(n - 1, -1, -1):
         now = n - 1 - k
-        item, T = judged[k], T_map_base[k]
+        item, T = history[k], T_map_base[k]
         memory.oldest = n - 1 - last_in_window[k]
         expected = tracker.predicted_positions(-item.scan.stamp)
         later = detect_moving(
@@ -67,7 +67,7 @@ def retrospective_labels(
 
 
 def _combine(item: ScanRecord, later: Detection, walks_later: BoolArray) -> BoolArray:
-    """Moving if called so then or now; a wall on the other side of time takes back what has not displaced.
+    """Moving if called so then or now; a wall there later overrules what has not moved.
 
     At a pose that no match supports, what was decided at the time stays.
     """
@@ -78,21 +78,21 @@ def _combine(item: ScanRecord, later: Detection, walks_later: BoolArray) -> Bool
     return np.asarray(before | after)
 
 
-def _last_in_window(judged: Sequence[ScanRecord]) -> list[int]:
+def _last_in_window(history: Sequence[ScanRecord]) -> list[int]:
     """For each scan the last one whose own memory still holds it."""
-    last = list(range(len(judged)))
+    last = list(range(len(history)))
     reached = 0
-    for k, item in enumerate(judged):
+    for k, item in enumerate(history):
         while reached < item.window:
             last[reached] = max(k - 1, reached)
             reached += 1
-    for k in range(reached, len(judged)):
-        last[k] = len(judged) - 1
+    for k in range(reached, len(history)):
+        last[k] = len(history) - 1
     return last
 
 
 def _follow(tracker: Tracker, item: ScanRecord, later: Detection, points: FloatArray) -> BoolArray:
-    """Track backward in time; returns the beams on objects that have displaced, less those that were mostly wall."""
+    """Track backward in time; returns the beams on objects that have moved, less those that were mostly wall."""
     tracker.update(-item.scan.stamp, *later.clusters(points))
     is_displaced = np.zeros(len(points), dtype=np.bool_)
     for track in tracker.displaced():

@@ -64,11 +64,11 @@ class Detection:
         )
 
     def abstain(self) -> "Detection":
-        """Take back what was called moving."""
+        """Reject what was called moving: none of it is."""
         return replace(
             self,
             is_moving=np.zeros_like(self.is_moving),
-            reason=np.where(self.is_moving, reasons.STOOD_BACK, self.reason),
+            reason=np.where(self.is_moving, reasons.ABSTAINED, self.reason),
             cluster=np.full_like(self.cluster, -1),
             n_clusters=0,
         )

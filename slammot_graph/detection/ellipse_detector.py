@@ -85,7 +85,7 @@ class EllipseDetectorConfig(Checked):
     retest : RetestConfig or None
         None: the test at the predicted pose is the last.
     backward_pass : bool
-        Judge every scan again after the run, with what was seen later.
+        Test every scan again after the run, with what was seen later.
     local_grid : LocalGridConfig or None
         None: the map itself is tested, as in the paper.
     """

@@ -34,7 +34,7 @@ SHARE_OF_STATIC = {
     reasons.UNKNOWN: 0.03,
     reasons.TOO_UNCERTAIN: 0.02,
     reasons.DISCARDED: 0.3,
-    reasons.STOOD_BACK: 0.4,
+    reasons.ABSTAINED: 0.4,
     reasons.NOT_TESTED: 0.0,
 }
 """Share of moving beams among those that were called static, by reason; by the same command (less for

@@ -1,7 +1,7 @@
 """Why a beam was called moving or not: the numbers in `StepResult.reason` index `REASONS`."""
 
-NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, STOOD_BACK, TRACKED, NOT_TESTED, EMPTIED = (
-    range(10)
+NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, ABSTAINED, TRACKED, NOT_TESTED, VACATED = range(
+    10
 )
 
 REASONS = (

@@ -27,7 +27,7 @@ class VisibilityCheckConfig(Checked):
     reach_m : float
         A beam on unknown cells moves if it ends this near to a place that is empty now.
     distance_m, age_s : float
-        The earlier scan was taken at least this way or this time before, whichever is reached first.
+        The earlier scan was taken at least this distance or this time before, whichever is reached first.
     margin_m : float
         The laser must see past the place by this much.
     min_run : int

@@ -45,7 +45,7 @@ class ScanToMapConfig(Checked):
     lost_std_m, lost_std_rad : float
         Standard deviations of the motion since the last keyframe when the robot is lost, or the odometry has jumped.
     lost_distance_m : float
-        Path length that a lost robot may have been carried, when it comes to recognising places.
+        Path length that a lost robot may have been displaced, when it comes to place recognition.
     motion_dof : float
         Degrees of freedom of Student's t for the error of the predicted motion: 4 is far from Gaussian.
     min_tail_nis, min_tail_scale : float

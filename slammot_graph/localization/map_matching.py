@@ -12,10 +12,8 @@ from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
-from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
-
-_Matched = tuple[MatchResult, FloatArray, FloatArray]
-"""A match, the pose (3,) in the local frame and its independent covariance (3, 3)."""
+from slammot_graph.registration.base import Match, MatchPrior
+from slammot_graph.registration.factory import make_matcher
 
 
 class MapMatching:
@@ -26,11 +24,13 @@ class MapMatching:
     config : ScanToMapConfig
     local_map : LocalMap
         Must hold a keyframe.
+    matcher : Matcher
     """
 
     def __init__(self, config: ScanToMapConfig, local_map: LocalMap) -> None:
         self.config = config
         self.local_map = local_map
+        self.matcher = make_matcher(config.point_to_line)
         self._laser_base: FloatArray = np.zeros(2)
         self._T_local_before: FloatArray = se2.IDENTITY
         self._increment_before: FloatArray = se2.IDENTITY
@@ -73,13 +73,10 @@ class MapMatching:
 
         A match with a narrower kernel that fails is made again with the usual one.
         """
-        config = self.config.point_to_line
-        if kernel_factor != 1.0:
-            config = replace(config, kernel_scale_m=kernel_factor * config.kernel_scale_m)
         is_valid = is_static if is_valid is None else is_valid
         start = state = self._elsewhere or start
         self._static_share = float(np.count_nonzero(is_static) / max(int(np.count_nonzero(is_valid)), 1))
-        matched = self._match_from(points_base, is_static, start, config)
+        matched = self._match_from(points_base, is_static, start, kernel_factor)
         if kernel_factor == 1.0:
             matched, state = self._against_prediction(points_base, is_static, is_valid, matched, start)
         match = matched[0]
@@ -108,38 +105,37 @@ class MapMatching:
         points_base: FloatArray,
         is_static: BoolArray,
         is_valid: BoolArray,
-        matched: _Matched,
+        matched: Match,
         start: MotionState,
-    ) -> tuple[_Matched, MotionState]:
+    ) -> tuple[Match, MotionState]:
         """Let a match that most returns agree with contradict the prediction."""
-        config = self.config.point_to_line
         if self._is_doubtful(matched[0]):
             elsewhere = self._match_elsewhere(points_base, is_valid, matched[0], start)
             if elsewhere is None:
                 return matched, start
             self._elsewhere, self._static_share = elsewhere, 1.0
-            return self._match_from(points_base, is_valid, elsewhere, config), elsewhere
+            return self._match_from(points_base, is_valid, elsewhere), elsewhere
         scale = self._tail_scale(matched[0], start)
         if scale > self.config.min_tail_scale:
             loosened = start.loosened((scale - 1.0) * start.cov_motion)
-            second = self._match_from(points_base, is_static, loosened, config)
+            second = self._match_from(points_base, is_static, loosened)
             needed = min(self.config.min_agreement, self.agreement(matched[0]) + self.config.tail_gain)
             if self.agreement(second[0]) >= needed:
                 return second, loosened
         return matched, start
 
     def _match_from(
-        self, points_base: FloatArray, is_static: BoolArray, start: MotionState, config: PointToLineConfig
-    ) -> _Matched:
-        return match_to_local_map(
-            points_base,
-            is_static,
-            self._laser_base,
-            self.local_map,
-            start.T_local_base,
-            start.cov_prior,
-            config,
-            start.cov_independent,
+        self,
+        points_base: FloatArray,
+        is_used: BoolArray,
+        start: MotionState,
+        kernel_factor: float = 1.0,
+    ) -> Match:
+        prior = MatchPrior(
+            T_a_base=start.T_local_base, cov=start.cov_prior, cov_independent=start.cov_independent
+        )
+        return self.matcher.match(
+            self.local_map, points_base, is_used, self._laser_base, prior, kernel_factor=kernel_factor
         )
 
     def _tail_scale(self, match: MatchResult, state: MotionState) -> float:
@@ -163,14 +159,12 @@ class MapMatching:
 
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
         """
-        config, wide = self.config.point_to_line, self.config.lost_cov
+        wide = self.config.lost_cov
         anywhere = replace(start.loosened(wide), cov_prior=wide, cov_independent=wide)
         needed = max(self.agreement(doubtful) + self.config.agreement_gain, self.config.min_agreement)
         best: MotionState | None = None
         for T in (self._T_local_before, se2.compose(self._T_local_before, self._increment_before)):
-            match, T_found, _ = self._match_from(
-                points_base, is_valid, replace(anywhere, T_local_base=T), config
-            )
+            match, T_found, _ = self._match_from(points_base, is_valid, replace(anywhere, T_local_base=T))
             if match.status == "converged" and match.inlier_ratio > needed:
                 needed = match.inlier_ratio
                 best = replace(anywhere, T_local_base=T_found)

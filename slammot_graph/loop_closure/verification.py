@@ -15,7 +15,8 @@ from slammot_graph.loop_closure.closure import Closure
 from slammot_graph.loop_closure.config import LoopClosureConfig
 from slammot_graph.loop_closure.submap import PreparedSubmap, Submap
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig
-from slammot_graph.registration.point_to_line import match_to_local_map
+from slammot_graph.registration.base import MatchPrior
+from slammot_graph.registration.factory import make_matcher
 
 
 class SearchWindow(NamedTuple):
@@ -56,6 +57,7 @@ class Verifier:
     def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig) -> None:
         self.config = config
         self._field = LocalMap(local_map)
+        self._matcher = make_matcher(config.point_to_line)
         self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
 
     def verify(
@@ -167,10 +169,8 @@ class Verifier:
             np.square((config.match_prior_std_m, config.match_prior_std_m, config.match_prior_std_rad))
         )
         from_anywhere = np.full(2, np.nan)
-        match, _, _ = match_to_local_map(
-            points, used, from_anywhere, self._field, start, weak_prior, config.point_to_line
-        )
-        return match
+        prior = MatchPrior(T_a_base=start, cov=weak_prior)
+        return self._matcher.match(self._field, points, used, from_anywhere, prior).result
 
 
 def _free_space_violation(prepared: PreparedSubmap, points: FloatArray, T: FloatArray) -> float:

@@ -22,7 +22,7 @@ class LocalMapConfig(Checked):
     keyframe_distance_m, keyframe_rotation_rad : float
         Motion since the last keyframe that makes the next one.
     max_keyframes : int
-        A local map with this many is full and gives way to a new one ...
+        A local map with this many is full and is replaced by a new one ...
     n_overlap : int
         ... that starts with the latest `n_overlap` keyframes, anchored at the first of them.
     cell_m, reach_m : float
@@ -153,7 +153,7 @@ class LocalMap:
 
     @property
     def anchor(self) -> Keyframe:
-        """The keyframe that the local map hangs on."""
+        """The keyframe that the local map is attached to."""
         return self.keyframes[0]
 
     def wants(self, T_local_base: FloatArray) -> bool:

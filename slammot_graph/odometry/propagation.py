@@ -1,4 +1,4 @@
-"""Propagation: the motion since the scan before, and a pose with its covariances carried along it.
+"""Propagation: the motion since the scan before, and a pose with its covariances propagated along it.
 
 The only part of localization that reads a scan's odometry: the others get increments and poses from here.
 """

@@ -2,7 +2,7 @@
 
 Over a window of scans i..j the odometry says that the robot moved by T_odom_i_j and the matches on one local map that
 it moved by T_match_i_j. The residual ``log(inv(T_odom_i_j) * T_match_i_j)`` is the sum of the increments' errors, each
-carried into the window's last body frame, and of the matches' own. Its covariance is linear in the squares of the
+transformed into the window's last body frame, and of the matches' own. Its covariance is linear in the squares of the
 parameters of `OdometryNoise`, which are found by maximum likelihood.
 """
 
@@ -167,8 +167,8 @@ def cut_windows(
 def calibrate(windows: Windows, default: OdometryNoise | None = None) -> Calibration:
     """Estimate the odometry's noise by maximum likelihood.
 
-    The random and the still parts of the increments add up, each carried into the window's last frame, as the pipeline
-    compounds them. The ratio parts are systematic: one error of scale for the whole window, so their standard
+    The random and the still parts of the increments add up, each transformed into the window's last frame, as the
+    pipeline compounds them. The ratio parts are systematic: one error of scale for the whole window, so their standard
     deviation grows with the distance driven and the turn (a turn back undoes it), as
     `OdometryNoise.covariance` has it for one increment as long as the window. The pipeline compounds increments as
     independent, so there the ratio parts count for less the shorter the increments are.
@@ -234,7 +234,7 @@ def _windows_of(
         + cov_independent[last]
         + cov_correlated[last]
     )
-    # each increment's error, carried into the frame of the window's last scan
+    # each increment's error, transformed into the frame of the window's last scan
     scans = first[:, None] + np.arange(length + 1)
     poses = T_odom_base[scans]
     increments = se2.between(poses[:, :-1], poses[:, 1:])

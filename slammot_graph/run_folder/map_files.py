@@ -8,13 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slammot_graph.core.errors import InputError
-from slammot_graph.core.results import GridMap
+from slammot_graph.core.results import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from slammot_graph.run_folder.atomic import replacing, write_text
 
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 """Grey values of ``map.pgm``, as map_server's own saver writes them."""
-FREE_BELOW, OCCUPIED_ABOVE = 0.2, 0.8
-"""Probabilities of occupation below and above which a cell is free or occupied (the paper's)."""
 FREE_THRESH = 0.196
 """Of ``map.yaml``: map_server reads grey 205 as 50 / 255 = 0.19608, so with 0.2 unknown cells became free."""
 DEFAULT_FREE_THRESH, DEFAULT_OCCUPIED_THRESH = 0.196, 0.65

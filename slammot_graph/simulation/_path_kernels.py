@@ -64,7 +64,7 @@ def clearances(
 
 
 @kernel
-def shortest_ways(
+def shortest_paths(
     clearance_m: FloatArray,
     is_walkable: BoolArray,
     resolution_m: float,
@@ -75,11 +75,11 @@ def shortest_ways(
 ) -> IntArray:
     """Dijkstra from the goal until the start and 3 m beyond are settled; steps near walls cost more."""
     rows, cols = is_walkable.shape
-    way = np.full((rows, cols), -1, dtype=np.int64)
+    path = np.full((rows, cols), -1, dtype=np.int64)
     cost = np.full((rows, cols), np.inf)
     is_settled = np.zeros((rows, cols), dtype=np.bool_)
     cost[goal_row, goal_col] = 0.0
-    way[goal_row, goal_col] = goal_row * cols + goal_col
+    path[goal_row, goal_col] = goal_row * cols + goal_col
     queue = [(0.0, goal_row * cols + goal_col)]
     limit = np.inf
     while len(queue) > 0:
@@ -105,22 +105,22 @@ def shortest_ways(
                 step *= 1.0 + 1.5 * max(0.0, 0.8 - clearance_m[r, c])
                 if here_cost + step < cost[r, c]:
                     cost[r, c] = here_cost + step
-                    way[r, c] = here
+                    path[r, c] = here
                     heapq.heappush(queue, (here_cost + step, r * cols + c))
     for row in range(rows):
         for col in range(cols):
             if not is_settled[row, col]:
-                way[row, col] = -1
-    return way
+                path[row, col] = -1
+    return path
 
 
 @kernel
-def descend(way: IntArray, row: int, col: int, n_steps: int) -> int:
-    """Flat index of the cell `n_steps` further on the way; -1 where it is not known."""
-    cols = way.shape[1]
+def descend(path: IntArray, row: int, col: int, n_steps: int) -> int:
+    """Flat index of the cell `n_steps` further on the path; -1 where it is not known."""
+    cols = path.shape[1]
     here = row * cols + col
-    if way[row, col] < 0:
+    if path[row, col] < 0:
         return -1
     for _ in range(n_steps):
-        here = int(way[here // cols, here % cols])
+        here = int(path[here // cols, here % cols])
     return int(here)

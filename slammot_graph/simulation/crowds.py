@@ -1,4 +1,4 @@
-"""Crowds by JuPedSim's collision-free speed model: people who walk between way points and around each other."""
+"""Crowds by JuPedSim's collision-free speed model: people who walk between waypoints and around each other."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.free_space import FreeSpace
 
 STEP_S = 0.05
-N_WAY_POINTS = 6
+N_WAYPOINTS = 6
 RADIUS_M = 0.2
 
 
@@ -49,8 +49,8 @@ def walk_in_crowd(
         raise ConfigError('crowds need JuPedSim: pip install "slammot-graph[crowds]"') from error
     area = _largest_part(shapely, free_space)
     simulation = jupedsim.Simulation(model=jupedsim.CollisionFreeSpeedModel(), geometry=area, dt=STEP_S)
-    spots = _spots(shapely, area, free_space, n_people + N_WAY_POINTS, rng)
-    stages = [simulation.add_waypoint_stage(tuple(spot), 0.5) for spot in spots[:N_WAY_POINTS]]
+    spots = _spots(shapely, area, free_space, n_people + N_WAYPOINTS, rng)
+    stages = [simulation.add_waypoint_stage(tuple(spot), 0.5) for spot in spots[:N_WAYPOINTS]]
     journey = jupedsim.JourneyDescription(stages)
     for here, there in zip(stages, stages[1:] + stages[:1], strict=True):
         journey.set_transition_for_stage(here, jupedsim.Transition.create_fixed_transition(there))
@@ -65,7 +65,7 @@ def walk_in_crowd(
                 stage_id=int(rng.choice(stages)),
             )
         )
-        for spot in spots[N_WAY_POINTS:]
+        for spot in spots[N_WAYPOINTS:]
     ]
     positions = np.empty((len(stamps), n_people, 2))
     for k, stamp in enumerate(stamps):
@@ -101,7 +101,7 @@ def _spots(shapely, area, free_space: FreeSpace, n: int, rng: np.random.Generato
         apart = all(np.hypot(*(point - other)) > 2.5 * RADIUS_M for other in chosen)
         if apart and inner.contains(shapely.Point(point)):
             chosen.append(point)
-    raise ConfigError(f"no room for a crowd of {n - N_WAY_POINTS} people in this world")
+    raise ConfigError(f"no room for a crowd of {n - N_WAYPOINTS} people in this world")
 
 
 def _aside(positions: FloatArray, T_world_base: FloatArray, keep_off_m: float) -> FloatArray:

@@ -68,8 +68,8 @@ class FreeSpace:
         points = start + np.linspace(0.0, 1.0, n_steps)[:, None] * (end - start)
         return bool(np.all(self.clearance_at(points) >= self.person_radius_m))
 
-    def way_to(self, goal: FloatArray, start: FloatArray) -> IntArray:
-        """Shortest ways to a goal, from `start` and all cells that are nearer to the goal.
+    def path_to(self, goal: FloatArray, start: FloatArray) -> IntArray:
+        """Shortest paths to a goal, from `start` and all cells that are nearer to the goal.
 
         Parameters
         ----------
@@ -78,11 +78,11 @@ class FreeSpace:
 
         Returns
         -------
-        (rows, cols) int array: flat index of the next cell on the way, the cell's own at the goal, -1 if unknown.
+        (rows, cols) int array: flat index of the next cell on the path, the cell's own at the goal, -1 if unknown.
         """
         goal_row, goal_col = self.nearest_walkable_cell(goal)
         start_row, start_col = self.nearest_walkable_cell(start)
-        return _path_kernels.shortest_ways(
+        return _path_kernels.shortest_paths(
             self.clearance_m, self.is_walkable, self.resolution_m, goal_row, goal_col, start_row, start_col
         )
 
@@ -94,13 +94,13 @@ class FreeSpace:
         nearest = self.walkable_cells[np.argmin(np.sum((self.walkable_points - point) ** 2, axis=1))]
         return int(nearest[0]), int(nearest[1])
 
-    def ahead(self, way: IntArray, point: FloatArray, distance_m: float) -> FloatArray | None:
-        """Point (2,) [m] that lies `distance_m` further on a way, or None where the way is not known."""
+    def ahead(self, path: IntArray, point: FloatArray, distance_m: float) -> FloatArray | None:
+        """Point (2,) [m] that lies `distance_m` further on a path, or None where the path is not known."""
         row, col = self.nearest_walkable_cell(point)
-        found = _path_kernels.descend(way, row, col, max(1, round(distance_m / self.resolution_m)))
+        found = _path_kernels.descend(path, row, col, max(1, round(distance_m / self.resolution_m)))
         if found < 0:
             return None
-        row, col = divmod(int(found), way.shape[1])
+        row, col = divmod(int(found), path.shape[1])
         return np.array(
             [
                 self.origin[0] + (col + 0.5) * self.resolution_m,
@@ -119,7 +119,7 @@ def free_space_of_segments(
     segments : (n, 4) array
         x1, y1, x2, y2 [m], world frame.
     start : (2,) array
-        A point in the free space [m], such as the robot's first way point.
+        A point in the free space [m], such as the robot's first waypoint.
     resolution_m, person_radius_m : float
 
     Raises

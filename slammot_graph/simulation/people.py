@@ -194,7 +194,7 @@ class _Walker:
         self.config = config
         self.rng = rng
         self.speed = rng.uniform(config.speed_min_m_s, config.speed_max_m_s)
-        self.way: IntArray | None = None
+        self.path_to_goal: IntArray | None = None
         self.goal: FloatArray | None = None
         self.pause_until_s = -np.inf
         self.away_until_s = -np.inf
@@ -236,7 +236,7 @@ class _Walker:
         return points[self.rng.choice(near)].copy() if len(near) else None
 
     def _wanted(self, position: FloatArray, robot: FloatArray, stamp: float) -> FloatArray:
-        """Velocity towards the next point of the way; picks a new goal where there is none."""
+        """Velocity towards the next point of the path; picks a new goal where there is none."""
         if stamp < self.pause_until_s:
             return np.zeros(2)
         if self.goal is not None and np.hypot(*(self.goal - position)) < 0.3:
@@ -252,9 +252,9 @@ class _Walker:
             if not len(near):
                 return np.zeros(2)
             self.goal = points[self.rng.choice(near)].copy()
-            self.way = self.space.way_to(self.goal, position)
-        assert self.way is not None
-        ahead = self.space.ahead(self.way, position, 0.4)
+            self.path_to_goal = self.space.path_to(self.goal, position)
+        assert self.path_to_goal is not None
+        ahead = self.space.ahead(self.path_to_goal, position, 0.4)
         if ahead is None:
             self.goal = None
             return np.zeros(2)

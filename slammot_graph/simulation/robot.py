@@ -1,4 +1,4 @@
-"""A differential-drive robot that follows way points, and its imperfect odometry."""
+"""A differential-drive robot that follows waypoints, and its imperfect odometry."""
 
 from dataclasses import dataclass, fields
 
@@ -29,7 +29,7 @@ class DriveConfig:
     speed_spread : float
         Each drive's `max_speed_m_s` is scaled by a uniform draw from 1 -+ this.
     route_jitter_m : float
-        Inner way points move by a uniform draw of -+ this along each axis.
+        Inner waypoints move by a uniform draw of -+ this along each axis.
     """
 
     max_speed_m_s: float = 0.5
@@ -125,32 +125,32 @@ class OdometryErrors:
 
 
 def drive(route: FloatArray, config: DriveConfig, period_s: float, rng: np.random.Generator) -> FloatArray:
-    """Drive along way points.
+    """Drive along waypoints.
 
     Parameters
     ----------
     route : (m, 2) array
-        Way points [m], world frame.
+        Waypoints [m], world frame.
     config : DriveConfig
     period_s : float
         Time between poses [s].
     rng : numpy.random.Generator
-        For the drive's speed and the way points' jitter.
+        For the drive's speed and the waypoints' jitter.
 
     Returns
     -------
     (n, 3) array
-        True poses, base in world, from the first way point to the last.
+        True poses, base in world, from the first waypoint to the last.
 
     Raises
     ------
     ConfigError
-        Fewer than two different way points, or a drive that does not arrive.
+        Fewer than two different waypoints, or a drive that does not arrive.
     """
     speed = config.max_speed_m_s * rng.uniform(1.0 - config.speed_spread, 1.0 + config.speed_spread)
     points = np.array(route, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 2 or not np.ptp(points, axis=0).any():
-        raise ConfigError("the robot's route needs at least two different way points")
+        raise ConfigError("the robot's route needs at least two different waypoints")
     jitter = config.route_jitter_m * rng.uniform(-1.0, 1.0, points.shape)
     points[1:-1] += jitter[1:-1]
     dense = _dense(points)

@@ -28,7 +28,7 @@ class World:
     segments : (n, 4) array
         x1, y1, x2, y2 [m], world frame.
     route : (m, 2) array
-        Way points of the robot's default drive [m]; closed if the last is the first.
+        Waypoints of the robot's default drive [m]; closed if the last is the first.
     """
 
     name: str
@@ -100,11 +100,11 @@ def _wall_y(x: float, y0: float, y1: float, gaps: Iterable[tuple[float, float]] 
 
 
 def _between_gaps(start: float, end: float, gaps: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    pieces, here = [], start
+    parts, here = [], start
     for a, b in sorted(gaps):
-        pieces.append((here, a))
+        parts.append((here, a))
         here = b
-    return [*pieces, (here, end)]
+    return [*parts, (here, end)]
 
 
 def _lab() -> World:

@@ -29,7 +29,7 @@ class KalmanTrackerConfig(Checked):
         Clusters needed before a track is reported.
     max_missed_s : float
         A track that no cluster confirmed for this long ends.
-    min_way_m : float
+    min_distance_m : float
         An object has displaced when it is this far from where it was first seen.
     """
 
@@ -39,7 +39,7 @@ class KalmanTrackerConfig(Checked):
     gate: PositiveOrInfinite = 9.21
     n_confirm: Count = 3
     max_missed_s: Positive = 1.0
-    min_way_m: Positive = 1.0
+    min_distance_m: Positive = 1.0
 
 
 class KalmanTracker:
@@ -64,7 +64,7 @@ class KalmanTracker:
             track
             for track in self.tracks
             if track.n_hits >= self.config.n_confirm
-            and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_way_m
+            and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_distance_m
         ]
 
     def update(

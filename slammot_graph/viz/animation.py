@@ -1,4 +1,4 @@
-"""A moving picture of a run: its map, and scan by scan the points, the objects and the way so far.
+"""A moving picture of a run: its map, and scan by scan the points, the objects and the path so far.
 
 What stands still is drawn once; for each frame only what moves is drawn over it.
 """
@@ -50,6 +50,7 @@ from slammot_graph.viz.drawing import (
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
     from matplotlib.text import Annotation
     from PIL.Image import Image as PillowImage
 
@@ -60,7 +61,7 @@ DPI = 125
 FAINT_COLORS = np.array([[236, 238, 240], [255, 255, 255], [165, 168, 172]], dtype=np.uint8)
 """Of the map's cells: unknown, free, occupied."""
 TRAIL_SCANS = 30
-"""So many scans long is the way behind a moving object."""
+"""So many scans long is the trail of a moving object."""
 ROBOT_LENGTH = 0.035
 """Length of the robot's arrow as a share of the map's long side."""
 RING_PT = 8.0
@@ -135,12 +136,10 @@ class _Stage:
 
     def __init__(self, folder: RunFolder, *, log_name: str) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.collections import LineCollection
         from matplotlib.figure import Figure
         from matplotlib.patches import Polygon
 
         self._folder = folder
-        self._tracks = _TracksOfScans(folder)
         page = lay_out(find_limits(folder.T_map_base, folder.grid), self._legend())
         figure = Figure(figsize=(page.width_in, page.height_in), dpi=DPI, facecolor="white")
         self._canvas = FigureCanvasAgg(figure)
@@ -152,18 +151,16 @@ class _Stage:
 
         # in the order in which they are drawn
         (self._static,) = axes.plot([], [], **POINT, color=to_hex(COLOR_STATIC), markersize=4.0)
-        self._trails = LineCollection([], linewidths=1.0)
-        axes.add_collection(self._trails, autolim=False)
+        self._tracks = _TrackArtists(axes, folder)
         (self._moving,) = axes.plot([], [], **POINT, color=to_hex(COLOR_MOVING), markersize=5.5)
         (self._path,) = axes.plot([], [], **PATH)
         self._robot = Polygon(np.zeros((4, 2)), facecolor=PATH["color"], edgecolor="white", linewidth=0.6)
         axes.add_patch(self._robot)
-        self._places = axes.scatter([], [], s=RING_PT**2, facecolors="none", linewidths=1.0)
-        self._ids: list[Annotation] = []
         self._clock = draw_title(figure, page, "", above_in=0.08, size_pt=TEXT_PT)
         self._clock.set_color("0.25")
         self._moving_artists: list[Artist] = [
-            *(self._static, self._trails, self._moving, self._path, self._robot, self._places, self._clock)
+            *(self._static, self._tracks.trails, self._moving, self._path, self._robot),
+            *(self._tracks.places, self._clock),
         ]
         for artist in self._moving_artists:
             artist.set_animated(True)
@@ -186,49 +183,29 @@ class _Stage:
         self._path.set_data(*folder.T_map_base[: row + 1, :2].T)
         arrow = self._robot_m * np.array([[0.6, 0.0], [-0.4, 0.35], [-0.2, 0.0], [-0.4, -0.35]])
         self._robot.set_xy(se2.transform(folder.T_map_base[row], arrow))
-        self._show_tracks(row)
+        self._tracks.show(row)
         time_s = folder.stamps[row] - folder.stamps[0]
         self._clock.set_text(f"{time_s:.1f} s   scan {row + 1} of {len(folder.stamps)}")
         self._canvas.restore_region(self._background)  # type: ignore[no-untyped-call]
-        for artist in (*self._moving_artists, *self._ids):
+        for artist in (*self._moving_artists, *self._tracks.ids):
             self._axes.draw_artist(artist)
         return self._pixels()
 
     def _pixels(self) -> Picture:
         return np.array(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
 
-    def _show_tracks(self, row: int) -> None:
-        """Show the objects of a scan: the way behind each, and its number beside it."""
-        trails = self._tracks.trails(row)
-        self._trails.set_segments(list(trails.values()))
-        colors = [to_hex(track_color(track_id)) for track_id in trails]
-        self._trails.set_color(colors)
-        self._places.set_offsets(np.array([trail[-1] for trail in trails.values()]).reshape(-1, 2))
-        self._places.set_edgecolor(colors)
-        while len(self._ids) < len(trails):
-            text = self._axes.annotate(
-                "", (0.0, 0.0), xytext=(5, 5), textcoords="offset points", fontsize=TEXT_PT, fontweight="bold"
-            )
-            text.set(animated=True, clip_on=True)
-            self._ids.append(text)
-        for text in self._ids[len(trails) :]:
-            text.set_visible(False)
-        for text, (track_id, trail), color in zip(self._ids, trails.items(), colors, strict=False):
-            text.set(text=str(track_id), color=color, visible=True)
-            text.xy = trail[-1]
-
     def _legend(self) -> list[list[Entry]]:
         """Say what everything in the picture is: the scan, the robot, the objects, the map."""
         static = line_entry("points that stand still", **POINT, color=to_hex(COLOR_STATIC), markersize=5.0)
         moving = line_entry("points that move", **POINT, color=to_hex(COLOR_MOVING), markersize=6.0)
-        robot = line_entry("robot and its way", **PATH, marker=">", markersize=6.0, markeredgecolor="white")
+        robot = line_entry("robot and its path", **PATH, marker=">", markersize=6.0, markeredgecolor="white")
         rings = [
             line_artist(
                 color=to_hex(color), marker="o", markersize=5.0, markerfacecolor="none", linewidth=1.0
             )
             for color in TRACK_COLORS[:2]
         ]
-        track = Entry(tuple(rings), f"tracked objects, and their ways in the last {TRAIL_SCANS} scans")
+        track = Entry(tuple(rings), f"tracked objects, and their paths in the last {TRAIL_SCANS} scans")
         has_map = bool(np.isfinite(self._folder.grid.p_occupied).any())
         free, *others = state_entries(FAINT_COLORS)
         states = [free._replace(label=f"finished map: {free.label}"), *others] if has_map else []
@@ -238,7 +215,7 @@ class _Stage:
         """Give (256, 3) colours that do for all frames: those of what stands still, and of what moves."""
         self._canvas.restore_region(self._background)  # type: ignore[no-untyped-call]
         still = self._pixels().reshape(-1, 3)
-        moving = [COLOR_STATIC, COLOR_MOVING, COLOR_ESTIMATE, *self._tracks.colors(), 0x404040FF]
+        moving = [COLOR_STATIC, COLOR_MOVING, COLOR_ESTIMATE, *self._tracks.of_scans.colors(), 0x404040FF]
         shown = np.array([[color >> shift & 255 for shift in (24, 16, 8)] for color in moving])
         share = np.linspace(1.0, 0.2, N_BLENDS)[:, None, None]
         blends = np.round(share * shown + (1.0 - share) * 255.0).astype(np.uint8).reshape(-1, 3)
@@ -273,6 +250,40 @@ class _TracksOfScans:
         """Give the colours of all objects, each once."""
         ids = np.unique(self._tracks[:, 1].astype(np.int64)).tolist()
         return list(dict.fromkeys(track_color(track_id) for track_id in ids))
+
+
+class _TrackArtists:
+    """What is drawn of the tracks: a trail, a ring and a number for each."""
+
+    def __init__(self, axes: "Axes", folder: RunFolder) -> None:
+        from matplotlib.collections import LineCollection
+
+        self.of_scans = _TracksOfScans(folder)
+        self.trails = LineCollection([], linewidths=1.0)
+        axes.add_collection(self.trails, autolim=False)
+        self.places = axes.scatter([], [], s=RING_PT**2, facecolors="none", linewidths=1.0)
+        self.ids: list[Annotation] = []
+        self._axes = axes
+
+    def show(self, row: int) -> None:
+        """Show the objects of a scan: the path behind each, and its number beside it."""
+        trails = self.of_scans.trails(row)
+        self.trails.set_segments(list(trails.values()))
+        colors = [to_hex(track_color(track_id)) for track_id in trails]
+        self.trails.set_color(colors)
+        self.places.set_offsets(np.array([trail[-1] for trail in trails.values()]).reshape(-1, 2))
+        self.places.set_edgecolor(colors)
+        while len(self.ids) < len(trails):
+            text = self._axes.annotate(
+                "", (0.0, 0.0), xytext=(5, 5), textcoords="offset points", fontsize=TEXT_PT, fontweight="bold"
+            )
+            text.set(animated=True, clip_on=True)
+            self.ids.append(text)
+        for text in self.ids[len(trails) :]:
+            text.set_visible(False)
+        for text, (track_id, trail), color in zip(self.ids, trails.items(), colors, strict=False):
+            text.set(text=str(track_id), color=color, visible=True)
+            text.xy = trail[-1]
 
 
 # ----------------------------------------------------------------------------------------------------- writers

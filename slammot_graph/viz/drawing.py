@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slammot_graph.core.results import GridMap
+from slammot_graph.core.results import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ MARGIN_M = 0.5
 MIN_EXTENT_M = 4.0
 STRAY_SHARE = 2e-4
 """On each side this share of the known cells may lie outside: a few seen far off through a window make no picture."""
-FREE_BELOW, OCCUPIED_ABOVE = 0.2, 0.8
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a cell; of several cells in one pixel the highest shows."""
 STATE_COLORS = np.array([[222, 225, 228], [255, 255, 255], [25, 25, 30]], dtype=np.uint8)

@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from slammot_graph import Run, __version__, cli
+from slammot_graph import run as run_module
 from slammot_graph.cli import console, running
 from slammot_graph.cli.files import open_log_of_run
-from slammot_graph.core import _numba, se2
+from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import StepResult
 from slammot_graph.evaluation import absolute_error
@@ -173,7 +174,7 @@ def test_the_laser_may_be_placed_by_hand(
 def test_compiling_is_announced_once(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, log: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(_numba, "is_compiled", lambda _: False)
+    monkeypatch.setattr(run_module, "has_compiled_kernels", lambda: False)
     running._announce_compilation.cache_clear()
     words = ("run", log, "--rerun", "off", "--method", "odometry", "--output")
     errs = [run(capsys, *words, tmp_path / name)[2] for name in ("a", "b")]

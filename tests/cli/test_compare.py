@@ -10,7 +10,7 @@ import rerun as rr
 from slammot_graph import cli
 from slammot_graph.logs import write_npz_log
 from tests.cli.test_cli import assert_one_line, run
-from tests.viz.test_recording import entries
+from tests.viz.rerun.recordings import entries
 from tests.walkers import write_walkers
 
 N_SCANS = 40

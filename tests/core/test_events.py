@@ -8,7 +8,7 @@ import pytest
 from slammot_graph.core.events import SEVERITIES, Event, EventKind, describe, make_event
 from slammot_graph.core.results import ClosureAttempt, ClosureStatus
 
-CLOSURE = {"target_node": 12, "source_node": 340, "reason": "no pose agrees"}
+CLOSURE: dict[str, str | int | float] = {"target_node": 12, "source_node": 340, "reason": "no pose agrees"}
 
 
 @pytest.mark.parametrize(

@@ -11,15 +11,15 @@ from slammot_graph.detection import _cluster_kernels
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig, SplitConfig, find_clusters
 from slammot_graph.detection.reasons import (
+    ABSTAINED,
     DISCARDED,
-    EMPTIED,
     FREE,
     NOT_VALID,
     OCCUPIED,
-    STOOD_BACK,
     TOO_UNCERTAIN,
     TRACKED,
     UNKNOWN,
+    VACATED,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -79,7 +79,7 @@ def random_limits(rng: np.random.Generator) -> ClusterConfig:
         min_points=int(rng.integers(1, 5)),
         max_x_range_m=rng.choice([0.5, 1.0, 1.5]),
         max_y_range_m=rng.choice([0.5, 1.0, 1.5]),
-        split=rng.choice([None, SplitConfig(gap_m=gap_m, min_points=min_points)], p=[1 / 3, 2 / 3]),
+        split=SplitConfig(gap_m=gap_m, min_points=min_points) if rng.random() < 2 / 3 else None,
     )
 
 
@@ -130,7 +130,7 @@ class Hints:
     """Where something stood that is gone, and where tracked objects should be; and how near a beam must end."""
 
     vacated: FloatArray
-    emptied_reach_m: float
+    vacated_reach_m: float
     expected: FloatArray
     expected_reach_m: float
 
@@ -139,7 +139,7 @@ def group_moving(
     points: FloatArray,
     is_valid: BoolArray,
     hints: Hints,
-    stand_back_share: float,
+    abstain_share: float,
     config: ClusterConfig,
     tested: IntArray,
 ) -> tuple[IntArray, IntArray, BoolArray, int]:
@@ -148,10 +148,10 @@ def group_moving(
         points,
         is_valid,
         hints.vacated,
-        hints.emptied_reach_m,
+        hints.vacated_reach_m,
         hints.expected,
         hints.expected_reach_m,
-        stand_back_share,
+        abstain_share,
         *config.kernel_arguments(),
         reason,
         cluster,
@@ -164,7 +164,7 @@ def plain_grouping(
     points: FloatArray,
     is_valid: BoolArray,
     hints: Hints,
-    stand_back_share: float,
+    abstain_share: float,
     config: ClusterConfig,
     tested: IntArray,
 ) -> tuple[IntArray, IntArray, BoolArray, int]:
@@ -174,7 +174,7 @@ def plain_grouping(
     is_moving = cluster >= 0
     reason[(tested == FREE) & ~is_moving] = DISCARDED
     for places, reach_m, why, min_points in (
-        (hints.vacated, hints.emptied_reach_m, EMPTIED, config.min_points),
+        (hints.vacated, hints.vacated_reach_m, VACATED, config.min_points),
         (hints.expected, hints.expected_reach_m, TRACKED, 1),
     ):
         squares = np.sum((points[:, None] - places[None]) ** 2, axis=-1)
@@ -185,10 +185,10 @@ def plain_grouping(
             )
             is_moving = cluster >= 0
             reason[is_near] = np.where(is_moving[is_near], why, DISCARDED)
-    reason[~is_moving & np.isin(reason, [FREE, EMPTIED, TRACKED])] = DISCARDED
-    if np.count_nonzero(is_moving) > stand_back_share * np.count_nonzero(is_valid):
+    reason[~is_moving & np.isin(reason, [FREE, VACATED, TRACKED])] = DISCARDED
+    if np.count_nonzero(is_moving) > abstain_share * np.count_nonzero(is_valid):
         nothing = np.zeros_like(is_moving)
-        return np.where(is_moving, STOOD_BACK, reason), np.full_like(cluster, -1), nothing, 0
+        return np.where(is_moving, ABSTAINED, reason), np.full_like(cluster, -1), nothing, 0
     return reason, cluster, is_moving, n_clusters
 
 
@@ -213,13 +213,13 @@ def test_moving_beams_are_grouped_as_their_twin_does(seed: int, is_exact: bool) 
     points, tested, config = random_points(rng, 50, is_exact), random_test(rng, 50), random_limits(rng)
     hints = Hints(
         vacated=random_places(rng, points, is_exact),
-        emptied_reach_m=rng.choice([0.0, 0.25, 0.5, 0.75]),
+        vacated_reach_m=rng.choice([0.0, 0.25, 0.5, 0.75]),
         expected=random_places(rng, points, is_exact),
         expected_reach_m=rng.choice([0.0, 0.25, 0.5, 0.75]),
     )
     is_valid = tested != NOT_VALID
     points[~is_valid] = np.nan
-    # most often nothing stands back; at times as many beams move as may
+    # most often it does not abstain; at times as many beams move as may
     _, _, is_moving, _ = plain_grouping(points, is_valid, hints, 1.0, config, tested)
     share = rng.choice([0.1, 0.5, 1.0, np.count_nonzero(is_moving) / np.count_nonzero(is_valid)])
     got = group_moving(points, is_valid, hints, share, config, tested)
@@ -231,14 +231,14 @@ def test_moving_beams_are_grouped_as_their_twin_does(seed: int, is_exact: bool) 
 NOWHERE: FloatArray = np.empty((0, 2))
 
 
-@pytest.mark.parametrize("why", [FREE, EMPTIED])
+@pytest.mark.parametrize("why", [FREE, VACATED])
 def test_a_group_that_a_wider_one_takes_in_is_discarded_with_it(why: int) -> None:
     points = np.column_stack([np.arange(12) / 8.0, np.zeros(12)])
     tested = np.array([FREE if why == FREE else UNKNOWN] * 3 + [UNKNOWN] * 9)
     config = ClusterConfig(max_gap_m=0.25, max_x_range_m=1.0, split=None)
     hints = Hints(
         vacated=NOWHERE if why == FREE else points[1:2],
-        emptied_reach_m=0.25,
+        vacated_reach_m=0.25,
         expected=NOWHERE,
         expected_reach_m=1.0,
     )
@@ -260,7 +260,7 @@ def test_moments_and_beams_of_clusters_are_those_of_each_alone(seed: int, n_clus
     n = 30
     cluster = np.concatenate([np.arange(n_clusters), rng.integers(-1, n_clusters, n - n_clusters)])
     rng.shuffle(cluster)
-    reason = np.where(cluster >= 0, rng.choice([FREE, EMPTIED, TRACKED], n, p=[0.2, 0.4, 0.4]), UNKNOWN)
+    reason = np.where(cluster >= 0, rng.choice([FREE, VACATED, TRACKED], n, p=[0.2, 0.4, 0.4]), UNKNOWN)
     reason[(cluster < 0) & (rng.random(n) < 0.5)] = FREE  # proves nothing of any cluster
     points, packed = rng.normal(0.0, 5.0, (n, 2)), rng.normal(size=(n, 3))
     points[cluster < 0] = packed[cluster < 0] = np.nan

@@ -117,7 +117,7 @@ def test_a_match_that_failed_takes_everything_back_unless_it_was_only_refused() 
     for match in (matched(status="failed"), matched(nis=51.0)):
         told = retest(detector, scan, found, match)
         assert not told.is_moving.any()
-        assert (told.reason == reasons.STOOD_BACK).sum() == found.is_moving.sum()
+        assert (told.reason == reasons.ABSTAINED).sum() == found.is_moving.sum()
 
 
 def test_the_test_is_made_again_only_where_points_change_their_cells() -> None:
@@ -185,4 +185,4 @@ def test_what_was_vacated_is_forgotten_where_the_robot_is_lost() -> None:
                 scan, scan.points_base(), nothing, nothing, se2.IDENTITY, is_keyframe=False, is_lost=True
             )
         found = detect(detector, second, se2.IDENTITY)
-        assert (found.reason == reasons.EMPTIED).any() != is_lost
+        assert (found.reason == reasons.VACATED).any() != is_lost

@@ -89,7 +89,7 @@ def test_the_test_stands_back_when_too_much_seems_to_move() -> None:
     assert not found.is_moving.any()
     assert found.n_clusters == 0
     assert (found.cluster == -1).all()
-    np.testing.assert_array_equal(found.reason == reasons.STOOD_BACK, is_person(scan))
+    np.testing.assert_array_equal(found.reason == reasons.ABSTAINED, is_person(scan))
 
 
 PERSON = [1.0, 2.5, 0.25]
@@ -161,7 +161,7 @@ def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:
     back = found.abstain()
     assert found.is_moving.sum() > 5
     assert not back.is_moving.any()
-    np.testing.assert_array_equal(back.reason == reasons.STOOD_BACK, found.is_moving)
+    np.testing.assert_array_equal(back.reason == reasons.ABSTAINED, found.is_moving)
     np.testing.assert_array_equal(back.reason[~found.is_moving], found.reason[~found.is_moving])
     assert (back.cluster == -1).all()
     assert back.n_clusters == 0
@@ -204,7 +204,7 @@ def test_every_reason_has_a_text() -> None:
         reasons.UNKNOWN,
         reasons.TOO_UNCERTAIN,
         reasons.DISCARDED,
-        reasons.STOOD_BACK,
+        reasons.ABSTAINED,
     ):
         assert REASONS[number].startswith("static: ")
 

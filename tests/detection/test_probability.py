@@ -43,7 +43,7 @@ def test_evidence_as_computed_one_by_one(rng: np.random.Generator) -> None:
     points = rng.uniform(1.0, 3.0, (30, 2)) * rng.choice([1.0, 6.0], (30, 1))
     ranges = np.hypot(*points.T)
     cluster = rng.integers(-1, 4, 30)
-    reason = np.where(cluster < 0, reasons.OCCUPIED, rng.choice([reasons.FREE, reasons.EMPTIED], 30))
+    reason = np.where(cluster < 0, reasons.OCCUPIED, rng.choice([reasons.FREE, reasons.VACATED], 30))
     grid = grid_seen(3, points[::2])
     expected = points[cluster == 1].mean(axis=0)[None] + 0.3
     found = cluster_evidence(detection_of(cluster.tolist(), reason.tolist()), points, ranges, grid, expected)
@@ -89,6 +89,6 @@ def test_points_called_static_have_the_share_of_their_like(reason: int) -> None:
 
 
 def test_every_reason_has_a_probability_or_is_of_moving_points() -> None:
-    moving = {reasons.FREE, reasons.TRACKED, reasons.EMPTIED, reasons.NOT_VALID}
+    moving = {reasons.FREE, reasons.TRACKED, reasons.VACATED, reasons.NOT_VALID}
     assert set(SHARE_OF_STATIC) | moving == set(range(len(reasons.REASONS)))
     assert all(0.0 <= share <= 1.0 for share in SHARE_OF_STATIC.values())

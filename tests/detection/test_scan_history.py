@@ -5,8 +5,7 @@ import pytest
 
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import Scan
-from slammot_graph.detection import reasons
-from slammot_graph.detection import scan_history as judgements
+from slammot_graph.detection import reasons, scan_history
 from slammot_graph.detection.scan_history import ScanHistory
 from tests.rooms import take_scan
 
@@ -42,7 +41,7 @@ def judged_scans(rng: np.random.Generator, n: int) -> list[dict[str, Any]]:
 def test_what_is_kept_comes_back_as_it_was(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, most_in_memory: int
 ) -> None:
-    monkeypatch.setattr(judgements, "MOST_IN_MEMORY", most_in_memory)
+    monkeypatch.setattr(scan_history, "MOST_IN_MEMORY", most_in_memory)
     kept, items = ScanHistory(), judged_scans(rng, 12)
     for k, item in enumerate(items):
         kept.append(**item)

@@ -19,7 +19,7 @@ def test_covariance_ablation(tmp_path: Path) -> None:
     text = quick(
         "covariance_ablation", tmp_path, ("absolute marginal", "relative to the anchor"), "--seeds", "1"
     )
-    assert "Over the way driven" in text
+    assert "Over the distance driven" in text
     assert_drawn(tmp_path / "figures" / "covariance_over_path.png")
 
 

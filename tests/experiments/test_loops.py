@@ -112,13 +112,13 @@ def test_closure_errors_tell_wrong_from_right() -> None:
 
 def test_a_carried_robot_stands_by_its_wheels_and_is_elsewhere_by_the_truth() -> None:
     whole = simulate("hall", seed=0, n_people=0)
-    carried = lost_robot.carry_away(whole, 50, np.inf)
-    before, after = carried.first_covered - 1, carried.first_after
-    log = carried.log
+    kidnapped = lost_robot.kidnap(whole, 50, np.inf)
+    before, after = kidnapped.first_occluded - 1, kidnapped.first_after
+    log = kidnapped.log
     assert log.T_odom_base[after] == pytest.approx(log.T_odom_base[before], abs=1e-12)
     away = log.T_world_base[after] - log.T_world_base[before]
-    assert lost_robot.CARRIED_M <= np.hypot(away[0], away[1]) < lost_robot.CARRIED_M + 0.2
-    assert all(not scan.is_valid().any() for scan in list(log)[carried.first_covered : after])
+    assert lost_robot.KIDNAPPED_M <= np.hypot(away[0], away[1]) < lost_robot.KIDNAPPED_M + 0.2
+    assert all(not scan.is_valid().any() for scan in list(log)[kidnapped.first_occluded : after])
     step = se2.between(log.T_odom_base[-2], log.T_odom_base[-1])
     assert step == pytest.approx(se2.between(whole.T_odom_base[-2], whole.T_odom_base[-1]), abs=1e-9)
     assert np.diff(log.stamps) == pytest.approx(0.1, abs=1e-6)

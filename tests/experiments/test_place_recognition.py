@@ -1,4 +1,4 @@
-"""The comparison of two ways of recognising places: quick mode, and its parts on made figures."""
+"""The comparison of two methods of place recognition: quick mode, and its parts on made figures."""
 
 import importlib
 import math

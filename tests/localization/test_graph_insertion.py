@@ -80,7 +80,7 @@ def insert(insertion: GraphInsertion, k: int, path_m: float = 0.0) -> tuple[int 
 def test_keyframes_become_nodes_tied_by_odometry_and_matches(insertion: GraphInsertion) -> None:
     assert [insert(insertion, k)[0] for k in range(8)] == list(range(8))
     kinds = [(edge.kind, edge.from_node, edge.to_node) for edge in insertion.graph.edges]
-    anchors = [0, 0, 0, 0, 0, 3, 3]  # the first local map gives way to that of node 3
+    anchors = [0, 0, 0, 0, 0, 3, 3]  # the first local map is replaced by that of node 3
     assert kinds == [
         edge for k in range(1, 8) for edge in (("odometry", k - 1, k), ("match", anchors[k - 1], k))
     ]

@@ -1,17 +1,17 @@
 from dataclasses import replace
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
 from slammot_graph.core.types import FloatArray
-from slammot_graph.localization import ScanToMapConfig, map_matching
+from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
 from slammot_graph.odometry import MotionState
-from slammot_graph.registration.point_to_line import PointToLineConfig, match_to_local_map
+from slammot_graph.registration.base import Match
 from tests.localization.matches import FAILED
 from tests.rooms import HALL, LASER, errors, take_scan
 
@@ -80,26 +80,20 @@ def test_another_place_is_matched_neither_from_here_nor_from_there() -> None:
     np.testing.assert_array_equal(state.T_local_base, STEP)
 
 
-def test_a_narrower_kernel_that_fails_gives_way_to_the_usual_one() -> None:
-    scales = []
+def test_a_narrower_kernel_that_fails_is_replaced_by_the_usual_one() -> None:
+    factors, matching = list[float](), matching_at(np.zeros(3))
+    usual_match = matching.matcher.match
 
-    def narrow_fails(*arguments: object) -> tuple[MatchResult, FloatArray, FloatArray]:
-        config = arguments[6]
-        assert isinstance(config, PointToLineConfig)
-        scales.append(config.kernel_scale_m)
-        found = match_to_local_map(*arguments)  # type: ignore[arg-type]
-        return (FAILED, *found[1:]) if config.kernel_scale_m < usual else found
+    def narrow_fails(*arguments: Any, kernel_factor: float) -> Match:
+        factors.append(kernel_factor)
+        found = usual_match(*arguments, kernel_factor=kernel_factor)
+        return found._replace(result=FAILED) if kernel_factor < 1.0 else found
 
-    usual = ScanToMapConfig().point_to_line.kernel_scale_m
-    with patch.object(map_matching, "match_to_local_map", narrow_fails):
-        match, state = matching_at(np.zeros(3)).match(POINTS, IS_VALID, state_at(STEP), 0.5)
+    with patch.object(matching.matcher, "match", narrow_fails):
+        match, state = matching.match(POINTS, IS_VALID, state_at(STEP), 0.5)
     assert match.status == "converged"
     assert max(errors(STEP, state.T_local_base)) < 5e-3
-    assert scales == [
-        0.5 * usual,
-        0.5 * usual,
-        usual,
-    ]  # from the prediction, from the place before, once more
+    assert factors == [0.5, 0.5, 1.0]  # from the prediction, from the pose before, once more
 
 
 def test_a_series_of_improbable_matches_is_refused_and_leaves_the_prediction() -> None:

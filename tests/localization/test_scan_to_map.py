@@ -64,7 +64,7 @@ def test_room_is_followed_with_nodes_at_keyframes(localizer: ScanToMap) -> None:
     kinds = [edge.kind for edge in final.edges]
     assert kinds == ["odometry", "match"] * (len(nodes) - 1)
     assert all(edge.to_node == edge.from_node + 1 for edge in final.edges if edge.kind == "odometry")
-    # the first map has nodes 0 to 5 and then gives way to that of node 3
+    # the first map has nodes 0 to 5 and then is replaced by that of node 3
     anchors = [edge.from_node for edge in final.edges if edge.kind == "match"]
     assert anchors[:8] == [0, 0, 0, 0, 0, 3, 3, 3]
     assert all(is_covariance(cov) for cov in final.cov_map)

@@ -12,17 +12,18 @@ from slammot_graph.loop_closure import ConsistencyConfig, LoopClosureConfig, Sub
     ("changes", "text"),
     [
         *[
-            ({name: 0.0}, f"closure.{name} must be positive, not 0.0")
+            ({name: 0.0}, f"LoopClosureConfig.{name} must be positive, not 0.0")
             for name in ("min_path_m", "max_distance_m", "drift_scale", "sigma_scale", "gate", "same_pose_m")
         ],
-        ({"min_search_m": 0.0}, "closure needs 0 < min_search <= max_search"),
-        ({"min_search_rad": 1.0}, "closure needs 0 < min_search <= max_search"),
+        ({"min_search_m": 0.0}, "LoopClosureConfig.min_search_m must be positive, not 0.0"),
+        ({"min_search_m": 9.0}, "LoopClosureConfig.min_search_m must be at most max_search_m"),
+        ({"min_search_rad": 1.0}, "LoopClosureConfig.min_search_rad must be at most max_search_rad"),
         *[
-            ({name: 0}, f"closure.{name} must be at least 1, not 0")
+            ({name: 0}, f"LoopClosureConfig.{name} must be at least 1, not 0")
             for name in ("n_candidates", "candidate_spacing", "n_search_points_lost", "n_prepared")
         ],
         *[
-            ({name: value}, rf"closure.{name} must be in \[0, 1\], not {value}")
+            ({name: value}, rf"LoopClosureConfig.{name} must be in \[0, 1\], not {value}")
             for name in (
                 "min_score",
                 "min_overlap",
@@ -42,10 +43,10 @@ def test_impossible_closures_are_refused(changes: dict[str, float], text: str) -
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"max_path_m": 0.0}, "closure.consistency.max_path_m must be positive, not 0.0"),
-        ({"std_m": math.nan}, "closure.consistency.std_m must be positive, not nan"),
-        ({"std_rad_per_m": -1.0}, "closure.consistency.std_rad_per_m must not be negative, not -1.0"),
-        ({"min_number_gap": -1}, "closure.consistency.min_number_gap must not be negative, not -1"),
+        ({"max_path_m": 0.0}, "ConsistencyConfig.max_path_m must be positive, not 0.0"),
+        ({"std_m": math.nan}, "ConsistencyConfig.std_m must be positive, not nan"),
+        ({"std_rad_per_m": -1.0}, "ConsistencyConfig.std_rad_per_m must not be negative, not -1.0"),
+        ({"min_number_gap": -1}, "ConsistencyConfig.min_number_gap must not be negative, not -1"),
     ],
 )
 def test_impossible_consistency_is_refused(changes: dict[str, float], text: str) -> None:
@@ -56,10 +57,10 @@ def test_impossible_consistency_is_refused(changes: dict[str, float], text: str)
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"cell_m": 0.0}, "closure.submap.cell_m must be positive, not 0.0"),
-        ({"n_levels": 0}, "closure.submap.n_levels must be at least 1, not 0"),
-        ({"free_score": 1}, "closure.submap needs free_score <= 0 <= neighbour_score <= occupied_score"),
-        ({"max_free_probability": 1.5}, r"closure.submap.max_free_probability must be in \[0, 1\], not 1.5"),
+        ({"cell_m": 0.0}, "SubmapConfig.cell_m must be positive, not 0.0"),
+        ({"n_levels": 0}, "SubmapConfig.n_levels must be at least 1, not 0"),
+        ({"free_score": 1}, "SubmapConfig needs free_score <= 0 <= neighbour_score <= occupied_score"),
+        ({"max_free_probability": 1.5}, r"SubmapConfig.max_free_probability must be in \[0, 1\], not 1.5"),
     ],
 )
 def test_impossible_submaps_are_refused(changes: dict[str, float], text: str) -> None:

@@ -147,10 +147,10 @@ def test_components_are_apart_until_both_are_joined(a: int, b: int, is_apart: bo
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"same_place_m": 0.0}, "closure.relocalization.same_place_m must be positive, not 0.0"),
-        ({"same_place_rad": -1.0}, "closure.relocalization.same_place_rad must be positive, not -1.0"),
+        ({"same_place_m": 0.0}, "RelocalizationConfig.same_place_m must be positive, not 0.0"),
+        ({"same_place_rad": -1.0}, "RelocalizationConfig.same_place_rad must be positive, not -1.0"),
         *[
-            ({name: 0}, f"closure.relocalization.{name} must be at least 1, not 0")
+            ({name: 0}, f"RelocalizationConfig.{name} must be at least 1, not 0")
             for name in ("min_agreeing", "min_agreeing_alone", "lead", "n_recent")
         ],
     ],

@@ -115,7 +115,7 @@ def test_grids_are_kept_for_the_latest_submaps_only(places: tuple[Submap, Submap
 
 def test_the_search_works_on_a_coarser_grid_too() -> None:
     config = replace(CONFIG, submap=SubmapConfig(cell_m=0.2, n_levels=3))
-    coarse = [replace(submap(k, T), config=config.submap) for k, T in ((0, A), (5, B))]
-    found = Verifier(config, LocalMapConfig()).verify(*coarse, se2.between(A, B), NEAR)
+    target, source = (replace(submap(k, T), config=config.submap) for k, T in ((0, A), (5, B)))
+    found = Verifier(config, LocalMapConfig()).verify(target, source, se2.between(A, B), NEAR)
     assert isinstance(found, Closure)
     assert max(errors(se2.between(A, B), found.T_target_source)) < 5e-3

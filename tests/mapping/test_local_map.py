@@ -53,7 +53,7 @@ def test_a_keyframe_is_wanted_after_motion() -> None:
     assert local_map.wants(se2.compose(T, np.array([0.0, 0.0, -0.21])))
 
 
-def test_a_full_map_gives_way_to_one_of_its_latest_keyframes() -> None:
+def test_a_full_map_is_replaced_by_one_of_its_latest_keyframes() -> None:
     config = LocalMapConfig(max_keyframes=4, n_overlap=2)
     local_map, fresh = LocalMap(config), LocalMap(config)
     keys = [keyframe(k, np.array([0.1 * k, 0.0, 0.1 * k]), config) for k in range(5)]

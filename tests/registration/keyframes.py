@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
 from slammot_graph.registration.point_to_line import PointToLineConfig
 from tests.rooms import LASER, ROOM, take_scan
@@ -38,7 +38,7 @@ def local_map_of(
 
 
 def circle(n: int, step: tuple[float, float, float] = (0.3, 0.0, 0.15)) -> FloatArray:
-    """Keyframes on the robot's way up to `A`."""
+    """Keyframes on the robot's path up to `A`."""
     poses = [A]
     for _ in range(n - 1):
         poses.append(se2.compose(poses[-1], se2.inverse(np.array(step))))
@@ -61,7 +61,7 @@ class Pairs:
     rows: FloatArray
     weights: FloatArray
     numbers: FloatArray
-    is_line: FloatArray
+    is_line: BoolArray
 
 
 def pairs_of(scan: Scan, local_map: LocalMap, T: FloatArray, max_range: float = np.inf) -> Pairs:

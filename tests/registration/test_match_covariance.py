@@ -36,7 +36,7 @@ NOISE_STD_M, LINE_STD_M = 0.018, 0.003
 
 
 @dataclass
-class Judged:
+class MatchCovariances:
     n_weak: int
     information: FloatArray
     graph_information: FloatArray
@@ -48,7 +48,7 @@ class Judged:
 
 def judge(
     points: FloatArray, H: FloatArray, parts: list[FloatArray], n_pairs: float, config: PointToLineConfig
-) -> Judged:
+) -> MatchCovariances:
     information, graph_information, gain_information, cov_independent, cov_correlated, cov_map = np.empty(
         (6, 3, 3)
     )
@@ -80,7 +80,7 @@ def judge(
         cov_correlated,
         cov_map,
     )
-    return Judged(
+    return MatchCovariances(
         n_weak, information, graph_information, gain_information, cov_independent, cov_correlated, cov_map
     )
 
@@ -93,7 +93,7 @@ def judge_twin(
     config: PointToLineConfig,
     noise_std_m: float = NOISE_STD_M,
     line_std_m: float = LINE_STD_M,
-) -> Judged:
+) -> MatchCovariances:
     """In strong directions only: B (3, strong) leads from them, scaled to metres, to the tangent."""
     scale = np.diag([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(points**2, axis=1)))])
     values, V = np.linalg.eigh(scale @ H @ scale)
@@ -109,7 +109,7 @@ def judge_twin(
     shared = line_std_m**2 * pseudo @ common @ pseudo + project @ pose_part @ project.T
     whole = F.T @ (own + shared + fragile) @ F
     graph = F @ np.diag(1.0 / (config.residual_std_m**2 / values + config.floor_std_m**2)) @ F.T
-    return Judged(
+    return MatchCovariances(
         n_weak=3 - int(strong.sum()),
         information=F @ np.linalg.inv(whole) @ F.T,
         graph_information=graph,
@@ -158,7 +158,7 @@ def test_judgement_equals_its_twin(seed: int, n_normals: int, fragile_pairs: flo
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7 * max(np.abs(b).max(), 1e-30), err_msg=name)
 
 
-def fuse(prior: FloatArray, predicted: FloatArray, match: Judged) -> FloatArray:
+def fuse(prior: FloatArray, predicted: FloatArray, match: MatchCovariances) -> FloatArray:
     out = np.empty((3, 3))
     _covariance_kernels.fuse(
         prior, predicted, match.gain_information, match.cov_independent, match.cov_map, out
@@ -166,7 +166,9 @@ def fuse(prior: FloatArray, predicted: FloatArray, match: Judged) -> FloatArray:
     return out
 
 
-def fuse_twin(prior: FloatArray, predicted: FloatArray, match: Judged) -> tuple[FloatArray, FloatArray]:
+def fuse_twin(
+    prior: FloatArray, predicted: FloatArray, match: MatchCovariances
+) -> tuple[FloatArray, FloatArray]:
     """The covariance, and what it would be on a perfect map."""
     gain = np.linalg.inv(np.linalg.inv(prior) + match.gain_information) @ match.gain_information
     kept = np.eye(3) - gain

@@ -82,7 +82,7 @@ def test_errors_fit_the_covariance(rng: np.random.Generator) -> None:
         scan = take_scan(se2.compose(A, moved), noise=rng.normal(0, 0.03, LASER.n_beams))
         result, _ = match(scan, local_map, se2.compose(moved, rng.normal(0, 0.02, 3)))
         nees.append(mahalanobis2(se2.log(se2.between(moved, result.T_ref_base)), result.cov))
-    # 3 if honest; within a factor of three on noise of the configured size
+    # 3 if consistent; within a factor of three on noise of the configured size
     assert 1.0 < np.mean(nees) < 9.0
 
 

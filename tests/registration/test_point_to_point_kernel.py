@@ -17,7 +17,8 @@ def contour(rng: np.random.Generator, n: int) -> FloatArray:
     corners = np.array([[0, 0], [4, 0], [4, 2], [2, 2], [2, 5], [0, 5], [0, 0]]) - [1.0, 1.5]
     along = np.sort(rng.uniform(0.0, 6.0, n))
     i = along.astype(int)
-    return corners[i] + (along - i)[:, None] * (corners[i + 1] - corners[i])
+    points: FloatArray = corners[i] + (along - i)[:, None] * (corners[i + 1] - corners[i])
+    return points
 
 
 def icp(
@@ -66,7 +67,8 @@ def test_point_to_point_pairs_are_those_of_a_tree(rng: np.random.Generator) -> N
     _, partner, stats, iterations = icp(reference, points, start, max_iterations=1, max_distance=0.4)
     finite = np.flatnonzero(np.isfinite(reference[:, 0]))
     moved = np.nan_to_num(se2.transform(start, points), nan=1e3)
-    distance, number = cKDTree(reference[finite]).query(moved)
+    found = cKDTree(reference[finite]).query(moved)
+    distance, number = np.asarray(found[0]), np.asarray(found[1])
     expected = np.where(distance < 0.4, finite[number], -1)
     np.testing.assert_array_equal(partner, expected)
     paired = expected >= 0
@@ -81,7 +83,7 @@ def test_point_to_point_step_is_the_least_squares_one(rng: np.random.Generator) 
     # Kabsch by a singular value decomposition
     U, _, Vt = np.linalg.svd((p - p.mean(axis=0)).T @ (q - q.mean(axis=0)))
     R = Vt.T @ np.diag([1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T
-    np.testing.assert_allclose(se2.rotation(T[2]), R, atol=1e-9)
+    np.testing.assert_allclose(se2.rotation(float(T[2])), R, atol=1e-9)
     np.testing.assert_allclose(T[:2], q.mean(axis=0) - R @ p.mean(axis=0), atol=1e-9)
 
 

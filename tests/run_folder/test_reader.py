@@ -46,6 +46,7 @@ def test_what_was_written_is_read(path: Path) -> None:
     assert folder.points is not None
     np.testing.assert_array_equal(folder.points.is_moving, run.is_moving)
     np.testing.assert_allclose(folder.tracks, run.tracks[:, :9], rtol=1e-8)
+    assert folder.cov_map is not None
     np.testing.assert_allclose(folder.cov_map, run.cov_map)
     np.testing.assert_array_equal(folder.grid.p_occupied == 1.0, run.grid.p_occupied > 0.8)
     np.testing.assert_array_equal(folder.grid.p_occupied == 0.0, run.grid.p_occupied < 0.2)

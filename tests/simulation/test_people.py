@@ -152,9 +152,9 @@ def test_free_space_knows_its_clearance_exactly_at_its_cells() -> None:
 
 def test_ways_lead_to_their_goal_around_the_walls() -> None:
     goal, start = np.array([-2.5, 0.0]), np.array([2.5, 0.0])
-    way, point, length = ROOM_SPACE.way_to(goal, start), start, 0.0
+    path, point, length = ROOM_SPACE.path_to(goal, start), start, 0.0
     for _ in range(100):
-        ahead = ROOM_SPACE.ahead(way, point, 0.3)
+        ahead = ROOM_SPACE.ahead(path, point, 0.3)
         assert ahead is not None
         assert ROOM_SPACE.clearance_at(ahead) >= 0.33 - 1e-9
         length += float(np.hypot(*(ahead - point)))

@@ -88,7 +88,7 @@ def test_noise_does_not_depend_on_the_lasers_rate(n: int) -> None:
         said, _ = simulate_odometry(poses, noise, rng)
         ends.append(said[-1] - [4.0, 0.0, 0.0])
     std = np.std(ends, axis=0)
-    # along and in heading by the way, across by the heading's random walk: integral of s^2 over 4 m
+    # along and in heading by the distance, across by the heading's random walk: integral of s^2 over 4 m
     across = np.sqrt(0.01**2 * 4.0 + 0.02**2 * 4.0**3 / 3.0)
     np.testing.assert_allclose(std, [0.02, across, 0.04], rtol=0.08)
 
@@ -170,7 +170,7 @@ def test_a_drive_starts_rests_and_arrives(rng: np.random.Generator) -> None:
     "route", [[[1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]], [[1.0, 1.0, 0.0], [2.0, 1.0, 0.0]]]
 )
 def test_a_route_needs_two_points(route: list[list[float]], rng: np.random.Generator) -> None:
-    with pytest.raises(ConfigError, match="the robot's route needs at least two different way points"):
+    with pytest.raises(ConfigError, match="the robot's route needs at least two different waypoints"):
         drive(np.array(route), DriveConfig(), 0.1, rng)
 
 

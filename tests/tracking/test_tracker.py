@@ -143,7 +143,7 @@ def test_tracks_end_after_the_clock_was_set_back(back_s: float) -> None:
 
 
 def test_who_has_walked_is_expected_where_he_goes() -> None:
-    tracker = KalmanTracker(KalmanTrackerConfig(min_way_m=1.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(min_distance_m=1.0))
     assert tracker.predicted_positions(0.0).shape == (0, 2)
     displaced = []
     for k in range(30):
@@ -169,7 +169,7 @@ def test_who_has_walked_and_stands_is_still_expected() -> None:
 
 
 def test_what_is_not_confirmed_is_not_expected() -> None:
-    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=3, min_way_m=0.1, gate=100.0))
+    tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=3, min_distance_m=0.1, gate=100.0))
     for k in range(2):
         update(tracker, 0.5 * k, at(0.5 * k))
     assert np.hypot(*tracker.tracks[0].state[:2]) > 0.1

@@ -8,7 +8,8 @@ import pytest
 from PIL.GifImagePlugin import GifImageFile
 
 from slammot_graph import Run
-from slammot_graph.run_folder.reader import RunFolder, read_run_folder
+from slammot_graph.core.saved_run import RunFolder
+from slammot_graph.run_folder.reader import read_run_folder
 from slammot_graph.run_folder.writer import write_run_folder
 from slammot_graph.viz.animation import _Stage, write_animation
 from slammot_graph.viz.colors import track_color
@@ -37,8 +38,8 @@ def labels(stage: _Stage) -> list[str]:
 def test_every_frame_says_what_is_what(folder: RunFolder) -> None:
     stage = _Stage(folder, log_name="list.log")
     assert labels(stage) == [
-        *("points that stand still", "points that move", "robot and its way"),
-        "tracked objects, and their ways in the last 30 scans",
+        *("points that stand still", "points that move", "robot and its path"),
+        "tracked objects, and their paths in the last 30 scans",
         *("finished map: free", "unknown", "occupied"),
     ]
     assert stage._canvas.figure.texts[0].get_text() == "graph on list.log"
@@ -54,7 +55,7 @@ def test_without_map_and_tracks_the_legend_does_not_name_them(folder: RunFolder,
     for name in ("trajectory.tum", "points.npz"):
         (tmp_path / name).write_bytes((folder.path / name).read_bytes())
     stage = _Stage(read_run_folder(tmp_path), log_name="list.log")
-    assert labels(stage) == ["points that stand still", "points that move", "robot and its way"]
+    assert labels(stage) == ["points that stand still", "points that move", "robot and its path"]
 
 
 def test_the_frames_of_a_gif_are_as_drawn(folder: RunFolder, tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def record_comparison(
     ----------
     runs : sequence of ComparedRun
     T_ref_base_true : (n, 3) array, optional
-        The true way, in the map of the first run.
+        The true path, in the map of the first run.
     moving : mapping
         Of the runs whose log is known, by name: the moving points (k, 2) of each scan, in the run's own map [m].
     summary : str
@@ -91,7 +91,7 @@ def record_comparison(
 _LEGEND = """
 | in the map | |
 |---|---|
-| line and arrow in a run's colour | its way, and where it is now |
+| line and arrow in a run's colour | its path, and where it is now |
 | points in that colour | what it says moves, of the last scans |
 | green line | the truth, where it is known |
 | white, black, grey-green | free, occupied, not known in the first run's map |
@@ -115,9 +115,9 @@ def _log_style(rec: "rr.RecordingStream", T_ref_base_true: FloatArray | None) ->
 
     rec.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if T_ref_base_true is not None:
-        way = at_height(T_ref_base_true[None, :, :2], 0.01)
+        path = at_height(T_ref_base_true[None, :, :2], 0.01)
         width = rr.Radius.ui_points(3.0)  # it shows beside a run that lies on it
-        rec.log("/world/truth", rr.LineStrips3D(way, colors=COLOR_TRUTH, radii=width), static=True)
+        rec.log("/world/truth", rr.LineStrips3D(path, colors=COLOR_TRUTH, radii=width), static=True)
 
 
 def _log_run(rec: "rr.RecordingStream", run: ComparedRun, color: int) -> None:
@@ -132,8 +132,8 @@ def _log_run(rec: "rr.RecordingStream", run: ComparedRun, color: int) -> None:
     log(rr.Transform3D(translation=at_height(frame[:2], 0.0), quaternion=rr.Quaternion(xyzw=turn)))
     if run.folder.grid.p_occupied.size:
         log(grid_map(run.folder.grid), "map")
-    way = at_height(run.folder.T_map_base[None, :, :2], 0.03)
-    log(rr.LineStrips3D(way, colors=color, radii=rr.Radius.ui_points(1.5)), "path")
+    path = at_height(run.folder.T_map_base[None, :, :2], 0.03)
+    log(rr.LineStrips3D(path, colors=color, radii=rr.Radius.ui_points(1.5)), "path")
     nose = rr.Arrows3D(
         vectors=[[0.6, 0.0, 0.0]],
         origins=[[0.0, 0.0, 0.09]],

@@ -20,7 +20,7 @@ from slammot_graph.viz.rerun.primitives import at_height
 if TYPE_CHECKING:
     import rerun as rr
 
-MAX_WAY_NODES = 1000
+MAX_PATH_NODES = 1000
 """Longer graphs are thinned to about so many nodes where they are drawn as a line."""
 MAX_VIEW_NODES = 300
 """The graph view shows the shape of the graph, thinned to about so many nodes."""
@@ -89,19 +89,19 @@ class GraphPanel:
         self.log_nodes(nodes)
 
     def log_nodes(self, nodes: FloatArray) -> None:
-        """Log the way through the nodes and the closures between them, and what the last closure did to them."""
+        """Log the path through the nodes and the closures between them, and what the last closure did to them."""
         import rerun as rr
 
         self._nodes = list(nodes)
         before, self._nodes_before = self._nodes_before, None
-        ways = [("/world/estimate/way", nodes, 0.024)]
+        paths = [("/world/estimate/graph_path", nodes, 0.024)]
         if before is not None:
-            # below the way, so that it shows where that has moved
-            ways.append(("/world/closures/graph_before", before, 0.017))
-        for path, poses, z in ways:
+            # below the path, so that it shows where that has moved
+            paths.append(("/world/closures/graph_before", before, 0.017))
+        for entity, poses, z in paths:
             if len(poses) > 1:
-                way = at_height(poses[None, _thinned(len(poses), MAX_WAY_NODES), :2], z)
-                self._out.rec.log(path, rr.LineStrips3D(way))
+                path = at_height(poses[None, _thinned(len(poses), MAX_PATH_NODES), :2], z)
+                self._out.rec.log(entity, rr.LineStrips3D(path))
         self._out.rec.log("/world/graph/closure", _edges(nodes, list(self._closures)))
 
     def send(self, steps: list[StepResult]) -> None:

@@ -120,7 +120,7 @@ def log_style(rec: "rr.RecordingStream") -> None:
         vectors=[[0.6, 0.0, 0.0]], origins=[[0.0, 0.0, 0.09]], colors=COLOR_ESTIMATE, radii=0.05
     )
     style("/world/robot/body", body)
-    line("/world/estimate/way", COLOR_ESTIMATE, 2.0)
+    line("/world/estimate/graph_path", COLOR_ESTIMATE, 2.0)
     line("/world/estimate/path", COLOR_ESTIMATE, 0.8)
     line("/world/odom/path", COLOR_ODOMETRY, 1.0)
     line("/world/truth/path", COLOR_TRUTH, 3.0)  # it shows beside an estimate that lies on it
@@ -201,7 +201,7 @@ def make_blueprint(
         {
             **of_closures,
             closure_path("refused"): rrb.EntityBehavior(visible=False),
-            "/world/estimate/way": rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(0.6)),
+            "/world/estimate/graph_path": rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(0.6)),
         },
     )
     scan_view = view_from_above(

@@ -101,7 +101,7 @@ class ScanPanel:
         self._send_anchors(steps)
 
     def _send_anchors(self, steps: list[StepResult]) -> None:
-        """Send the place of the scan that the local map hangs on, where it changes."""
+        """Send the place of the scan that the local map is attached to, where it changes."""
         import rerun as rr
 
         anchors = [step.anchor_scan for step in steps]

@@ -25,14 +25,14 @@ LEGEND = """
 | pale green, tan, lilac squares | around moving points: free, occupied, unknown cells of the test's own grid |
 | | as the scan before left them, so the test saw them; in the view of the scan only |
 | thin blue ellipses | the same covariance of every tenth static point |
-| blue line | the way through the graph's nodes as they are now |
+| blue line | the path through the graph's nodes as they are now |
 | thin blue line, dark blue ellipse | each scan's place as it was estimated then, 95% of the robot's position |
-| dark blue dot on the path | the scan that the local map hangs on |
+| dark blue dot on the path | the scan that the local map is attached to |
 | orange line | raw odometry, started at the same place |
 | green line | truth, where it is known |
 | points with arrows | tracks with their velocity and 95% ellipse, numbered where there is room |
 | pink lines | loop closures of the graph |
-| green, amber, red lines | those just accepted, held back, taken back, for some scans |
+| green, amber, red lines | those just accepted, waiting, rejected as outliers, for some scans |
 | grey lines | those last refused, hidden unless you switch `closures/refused` on |
 | brown line | for some scans: the graph before a closure |
 

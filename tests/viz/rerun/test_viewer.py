@@ -25,7 +25,7 @@ from tests.walkers import write_walkers
 N_SCANS = 170
 """So many of two-walkers: straight on along x, then a turn to the left."""
 SCAN = 160
-ARTIFACTS = Path(os.environ.get("SLAMMOT_ARTIFACTS") or Path(__file__).parents[2] / "build" / "artifacts")
+ARTIFACTS = Path(os.environ.get("SLAMMOT_ARTIFACTS") or Path(__file__).parents[3] / "build" / "artifacts")
 """Where the pictures are put."""
 PACKAGES = "apt-get install mesa-vulkan-drivers libvulkan1"
 MAX_WAIT_S = 10.0
@@ -232,7 +232,7 @@ def test_every_view_of_a_run_is_drawn(
         assert is_static[binary_dilation(is_wall, iterations=8)].sum() > 0.3 * is_static.sum()
     rows, cols = np.nonzero(_is_colored(pictures.of_view["Map"], colors.COLOR_ESTIMATE, 0.04))
     assert len(rows) > 200
-    # y is up: the way starts in the lower left corner and turns to the left
+    # y is up: the path starts in the lower left corner and turns to the left
     assert rows[cols.argmin()] > np.percentile(rows, 40)
     assert cols[rows.argmin()] > np.percentile(cols, 40)
 
