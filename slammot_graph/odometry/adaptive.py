@@ -60,8 +60,8 @@ class AdaptiveOdometryConfig(Checked):
     error_gain: PositiveShare = 0.1
     error_lever_m: Positive = 2.0
     error_cap_m: Positive = 0.5
-    hysteresis: AtLeastOne = 2.0
-    min_excess: Positive = 3.0
+    hysteresis: AtLeastOne = 4.0
+    min_excess: Positive = 10.0
     max_excess: Positive = 30.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
