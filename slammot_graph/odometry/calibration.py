@@ -18,6 +18,12 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 
+MIN_WINDOWS = 6
+"""Scales are not fitted to fewer."""
+
+CONVERGED = 1e-5
+"""The fit has converged when no parameter changes by more."""
+
 DOF = 4.0
 """Degrees of freedom of Student's t: slips and wrong matches have heavy tails."""
 
@@ -41,10 +47,12 @@ class CalibrationConfig(Checked):
         Step of the search, refined to a fifth.
     min_gain : float
         Natural logarithm of the likelihood ratio against no offset at which an offset is believed.
-    window_m, window_rad : float
+    window_m : float
         Increments are joined until they are about this long, so that scales stand out of the noise ...
     max_window : int
         ... but no more than so many.
+    min_distance_m, min_turn_rad : float
+        A window in which the odometry tells of less distance, or turn, tells nothing of that scale.
     scale_std : float
         Prior standard deviation of both scales about 1, and of the direction [rad].
     bias_std_rad_per_m : float
@@ -56,15 +64,16 @@ class CalibrationConfig(Checked):
     """
 
     n_kept: Count = 800
-    n_first: Count = 40
+    n_first: Count = 20
     growth: Positive = 1.5
     n_between: Count = 250
     max_offset_s: Positive = 0.6
     offset_step_s: Positive = 0.05
     min_gain: Positive = 12.0
     window_m: Positive = 0.4
-    window_rad: Positive = 0.4
     max_window: Count = 8
+    min_distance_m: Positive = 0.05
+    min_turn_rad: Positive = 0.08
     scale_std: Positive = 0.5
     bias_std_rad_per_m: Positive = 0.1
     min_std_m: Positive = 0.003
@@ -169,7 +178,7 @@ class SelfCalibration:
         rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
         offset = self._fit_offset(rows, history)
         windows = _Windows(rows, offset.value, history, self.config)
-        if windows.n < 10:
+        if windows.n < MIN_WINDOWS:
             self.now = OdometryCalibration(clock_offset_s=offset)
             return
         heading, distance, direction = self._fit_scales(windows)
@@ -241,30 +250,40 @@ class SelfCalibration:
         return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.scale_std])
 
     def _fit_scales(self, windows: "_Windows") -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
-        """Heading scale and bias, distance scale, and direction; what is not excited keeps its prior."""
-        u, z, std = windows.told, windows.found, windows.std
-        d = np.hypot(u[:, 0], u[:, 1])
-        is_excited = (np.abs(u[:, 2]) > 0.02) | (d > 0.03)
-        if np.count_nonzero(is_excited) < 8:
-            one, zero = Estimated(value=1.0), Estimated(value=0.0)
-            return (one, zero), one, zero
-        u, z, std, d = u[is_excited], z[is_excited], std[is_excited], d[is_excited]
-        heading = _robust_fit(np.column_stack([u[:, 2], d]), z[:, 2], std[:, 1], self._heading_prior())
+        """Heading scale and bias, distance scale, and direction.
+
+        Only windows with clearly more motion than the odometry's noise tell of a scale: fitted to the noise of a still
+        heading, a scale would go to zero. What too few windows excite keeps its prior.
+        """
+        return self._fit_heading(windows), *self._fit_distance(windows)
+
+    def _fit_heading(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
+        turn, found, std = windows.told[:, 2], windows.found[:, 2], windows.std[:, 1]
+        d = np.hypot(windows.told[:, 0], windows.told[:, 1])
+        prior = self._heading_prior()
+        is_turning = np.abs(turn) > self.config.min_turn_rad
+        if np.count_nonzero(is_turning) < MIN_WINDOWS:
+            prior = prior[0], np.array([1e-4, prior[1][1]])
+            is_turning = np.ones(len(turn), dtype=np.bool_)
+        A = np.column_stack([turn, d])[is_turning]
+        fit = _robust_fit(A, found[is_turning], std[is_turning], prior, 40)
+        stds = _stds_of(fit, self._heading_prior()[1])
+        if prior[1][0] < self.config.scale_std:
+            stds[0] = math.inf
+        return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
+
+    def _fit_distance(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
+        is_moving = np.hypot(windows.told[:, 0], windows.told[:, 1]) > self.config.min_distance_m
+        if np.count_nonzero(is_moving) < MIN_WINDOWS:
+            return Estimated(value=1.0), Estimated(value=0.0)
+        u, z, std = windows.told[is_moving], windows.found[is_moving], windows.std[is_moving, 0]
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
-        translation = _robust_fit(
-            rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std[:, 0], 2), self._scale_prior()
-        )
-        stds = _stds_of(heading, self._heading_prior()[1])
-        scale = math.hypot(*translation.x)
-        scale_std = _stds_of(translation, self._scale_prior()[1])[0]
-        direction = math.atan2(translation.x[1], translation.x[0])
+        prior = self._scale_prior()
+        fit = _robust_fit(rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std, 2), prior, 40)
+        scale, std_scale = math.hypot(*fit.x), _stds_of(fit, prior[1])[0]
         return (
-            (
-                Estimated(value=float(heading.x[0]), std=stds[0]),
-                Estimated(value=float(heading.x[1]), std=stds[1]),
-            ),
-            Estimated(value=scale, std=scale_std),
-            Estimated(value=direction, std=scale_std / max(scale, 0.1)),
+            Estimated(value=scale, std=std_scale),
+            Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=std_scale / max(scale, 0.1)),
         )
 
     def _fit_noise(
@@ -313,7 +332,7 @@ class _Windows:
         moving = way[way > 0.3 * way.max(initial=0.0)]
         usual = float(np.median(moving)) if moving.size else 0.0
         self.size = size = int(np.clip(round(config.window_m / max(usual, 1e-3)), 1, config.max_window))
-        first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 2, 1))
+        first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 4, 1))
         within = first[:, None] + np.arange(size)[None, :]
         # the scans of a window follow each other without a gap
         is_whole: BoolArray = np.ones(len(first), dtype=np.bool_)
@@ -384,20 +403,30 @@ def _told(
     return increments.reshape(*before_s.shape, 3)
 
 
-def _robust_fit(A: FloatArray, y: FloatArray, std: FloatArray, prior: tuple[FloatArray, FloatArray]) -> _Fit:
-    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x."""
+def _robust_fit(
+    A: FloatArray,
+    y: FloatArray,
+    std: FloatArray,
+    prior: tuple[FloatArray, FloatArray],
+    max_rounds: int = 4,
+) -> _Fit:
+    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x.
+
+    The first round is least squares, so that a solution far from the prior's mean is reached.
+    """
     mean, prior_std = prior
     prior_information = np.diag(prior_std**-2.0)
     x: FloatArray = mean
     information: FloatArray = prior_information
-    residuals = y - A @ x
-    for _ in range(4):
-        scaled2 = np.square(residuals / std)
-        weights = (DOF + 1.0) / (DOF + scaled2) / np.square(std)
+    residuals, weights = y - A @ x, std**-2.0
+    for _ in range(max_rounds):
         weighted = A * weights[:, None]
         information = weighted.T @ A + prior_information
-        x = np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
+        before, x = x, np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
         residuals = y - A @ x
+        if np.abs(x - before).max() < CONVERGED:
+            break
+        weights = (DOF + 1.0) / (DOF + np.square(residuals / std)) / np.square(std)
     cost = 0.5 * (DOF + 1.0) * float(np.log1p(np.square(residuals / std) / DOF).sum())
     return _Fit(x, information, residuals, cost)
 
