@@ -11,6 +11,12 @@ from slammot_graph.core.types import FloatArray
 DOF = 4.0
 """Degrees of freedom of Student's t: slips and wrong matches have heavy tails."""
 
+N_WIDE, N_STEPS = 2, 3
+"""Steps of a fit: so many at the scale of the residuals, and then so many at the scale given."""
+
+MEDIAN_OF_SQUARES = 0.4549
+"""Of a standard normal variable."""
+
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
@@ -25,15 +31,20 @@ class RobustFit:
 def robust_fit(
     A: FloatArray, y: FloatArray, std: FloatArray, prior: tuple[FloatArray, FloatArray]
 ) -> RobustFit:
-    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x."""
+    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x.
+
+    The first steps widen the scale to that of the residuals: far from the solution nearly all of them are in the
+    tails, which would hold it where it is.
+    """
     mean, prior_std = prior
     prior_information = np.diag(prior_std**-2.0)
     x: FloatArray = mean
     information: FloatArray = prior_information
     residuals = y - A @ x
-    for _ in range(4):
+    for step in range(N_WIDE + N_STEPS):
         scaled2 = np.square(residuals / std)
-        weights = (DOF + 1.0) / (DOF + scaled2) / np.square(std)
+        wide2 = max(float(np.median(scaled2)) / MEDIAN_OF_SQUARES, 1.0) if step < N_WIDE else 1.0
+        weights = (DOF + 1.0) / (DOF + scaled2 / wide2) / np.square(std)
         weighted = A * weights[:, None]
         information = weighted.T @ A + prior_information
         x = np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
