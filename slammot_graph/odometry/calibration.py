@@ -17,15 +17,10 @@ from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.robust_fit import noise_scale_of, robust_fit, stds_of
 
 MIN_WINDOWS = 6
 """Scales are not fitted to fewer."""
-
-CONVERGED = 1e-5
-"""The fit has converged when no parameter changes by more."""
-
-DOF = 4.0
-"""Degrees of freedom of Student's t: slips and wrong matches have heavy tails."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +61,7 @@ class CalibrationConfig(Checked):
     n_kept: Count = 800
     n_first: Count = 20
     growth: Positive = 1.5
-    n_between: Count = 250
+    n_between: Count = 500
     max_offset_s: Positive = 0.6
     offset_step_s: Positive = 0.05
     min_gain: Positive = 12.0
@@ -106,16 +101,6 @@ class OdometryCalibration:
         x, y, turn = increments[..., 0], increments[..., 1], increments[..., 2]
         bias = self.heading_bias_rad_per_m.value * np.hypot(x, y)
         return np.stack([c * x - s * y, s * x + c * y, self.heading_scale.value * turn + bias], axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A robust linear fit: parameters, their information, residuals and cost."""
-
-    x: FloatArray
-    information: FloatArray
-    residuals: FloatArray
-    cost: float
 
 
 class SelfCalibration:
@@ -228,7 +213,7 @@ class SelfCalibration:
         """Negative log likelihood of the increments at a clock offset, the other parameters fitted."""
         u = _told(rows[:, 0], rows[:, 1], float(offset), history, spread_s=_usual_step(rows))
         std = self._stds(rows)
-        heading = _robust_fit(
+        heading = robust_fit(
             np.column_stack([u[:, 2], np.hypot(u[:, 0], u[:, 1])]),
             rows[:, 4],
             std[:, 1],
@@ -236,7 +221,7 @@ class SelfCalibration:
         )
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         z = np.concatenate([rows[:, 2], rows[:, 3]])
-        translation = _robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
+        translation = robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
         return heading.cost + translation.cost
 
     def _stds(self, rows: FloatArray) -> FloatArray:
@@ -266,8 +251,8 @@ class SelfCalibration:
             prior = prior[0], np.array([1e-4, prior[1][1]])
             is_turning = np.ones(len(turn), dtype=np.bool_)
         A = np.column_stack([turn, d])[is_turning]
-        fit = _robust_fit(A, found[is_turning], std[is_turning], prior, 40)
-        stds = _stds_of(fit, self._heading_prior()[1])
+        fit = robust_fit(A, found[is_turning], std[is_turning], prior)
+        stds = stds_of(fit, self._heading_prior()[1])
         if prior[1][0] < self.config.scale_std:
             stds[0] = math.inf
         return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
@@ -279,8 +264,8 @@ class SelfCalibration:
         u, z, std = windows.told[is_moving], windows.found[is_moving], windows.std[is_moving, 0]
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         prior = self._scale_prior()
-        fit = _robust_fit(rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std, 2), prior, 40)
-        scale, std_scale = math.hypot(*fit.x), _stds_of(fit, prior[1])[0]
+        fit = robust_fit(rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std, 2), prior)
+        scale, std_scale = math.hypot(*fit.x), stds_of(fit, prior[1])[0]
         return (
             Estimated(value=scale, std=std_scale),
             Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=std_scale / max(scale, 0.1)),
@@ -302,8 +287,8 @@ class SelfCalibration:
         m2 = np.concatenate([errors[:, 0] ** 2, errors[:, 1] ** 2])
         spread = self.config.noise_scale_std
         return (
-            _noise_scale(m2, np.tile(variances[:, 0], 2), np.tile(own[:, 0], 2), spread),
-            _noise_scale(errors[:, 2] ** 2, variances[:, 1], own[:, 1], spread),
+            noise_scale_of(m2, np.tile(variances[:, 0], 2), np.tile(own[:, 0], 2), spread),
+            noise_scale_of(errors[:, 2] ** 2, variances[:, 1], own[:, 1], spread),
         )
 
     def noise_variances(self, increments: FloatArray) -> FloatArray:
@@ -401,55 +386,3 @@ def _told(
 
     increments = _relative(poses(before_s.ravel() + offset_s), poses(after_s.ravel() + offset_s))
     return increments.reshape(*before_s.shape, 3)
-
-
-def _robust_fit(
-    A: FloatArray,
-    y: FloatArray,
-    std: FloatArray,
-    prior: tuple[FloatArray, FloatArray],
-    max_rounds: int = 4,
-) -> _Fit:
-    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x.
-
-    The first round is least squares, so that a solution far from the prior's mean is reached.
-    """
-    mean, prior_std = prior
-    prior_information = np.diag(prior_std**-2.0)
-    x: FloatArray = mean
-    information: FloatArray = prior_information
-    residuals, weights = y - A @ x, std**-2.0
-    for _ in range(max_rounds):
-        weighted = A * weights[:, None]
-        information = weighted.T @ A + prior_information
-        before, x = x, np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
-        residuals = y - A @ x
-        if np.abs(x - before).max() < CONVERGED:
-            break
-        weights = (DOF + 1.0) / (DOF + np.square(residuals / std)) / np.square(std)
-    cost = 0.5 * (DOF + 1.0) * float(np.log1p(np.square(residuals / std) / DOF).sum())
-    return _Fit(x, information, residuals, cost)
-
-
-def _stds_of(fit: _Fit, prior_std: FloatArray) -> list[float]:
-    """Standard deviations of the parameters; infinite where the data say no more than the prior."""
-    cov = np.linalg.inv(fit.information)
-    stds = np.sqrt(np.diag(cov))
-    return [float(std) if std < 0.5 * prior else math.inf for std, prior in zip(stds, prior_std, strict=True)]
-
-
-def _noise_scale(errors2: FloatArray, model: FloatArray, own: FloatArray, spread: float) -> Estimated:
-    """Scale of a standard deviation so that errors have variance ``scale^2 model + own``, under Student's t."""
-    logs = np.linspace(math.log(1e-5), math.log(100.0), 36)
-    costs = np.empty(len(logs))
-    for k, log_scale in enumerate(logs):
-        var = math.exp(log_scale) * model + own
-        costs[k] = 0.5 * (np.log(var) + (DOF + 1.0) * np.log1p(errors2 / var / DOF)).sum()
-    costs += 0.5 * (logs / spread) ** 2
-    k = int(np.argmin(costs))
-    step = logs[1] - logs[0]
-    inner = int(np.clip(k, 1, len(logs) - 2))
-    curvature = (costs[inner - 1] - 2.0 * costs[inner] + costs[inner + 1]) / step**2
-    value = math.exp(0.5 * logs[k])
-    std = 0.5 * value / math.sqrt(curvature) if curvature > 1e-6 else math.inf
-    return Estimated(value=value, std=std)
