@@ -1,7 +1,5 @@
 """Graph insertion: which keyframes become nodes, by which factors they are tied, and when loops are looked for."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from slammot_graph.core import se2
@@ -140,12 +138,12 @@ class GraphInsertion:
             keyframes.cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
         if is_first:
             self.local_factors.start(state.T_local_base)
-            state = replace(state, cov_independent=FIRST_COV, cov_correlated=np.zeros((3, 3)))
+            state = state._replace(cov_independent=FIRST_COV, cov_correlated=np.zeros((3, 3)))
         elif finished:
             covs = self.local_factors.of_latest(len(self.local_map.keyframes))
             self.local_map.set_covariances(covs)
-            state = replace(state, cov_independent=covs[-1])
-        return replace(state, cov_prior=keyframes.cov_keyframe), closures
+            state = state._replace(cov_independent=covs[-1])
+        return state._replace(cov_prior=keyframes.cov_keyframe), closures
 
     def start_component(self, path_m: float) -> None:
         """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.

@@ -84,10 +84,15 @@ class MapMatching:
         if match.status == "failed" and kernel_factor < 1.0:
             return self.match(points_base, is_static, start, is_valid=is_valid)
         _, T_local_base, cov_independent = matched
-        state = replace(state, T_local_base=T_local_base, cov_independent=cov_independent)
-        if match.status != "failed":
-            cov_prior = fuse(state.cov_prior, match)
-            state = replace(state, cov_correlated=match.cov_correlated, cov_prior=cov_prior)
+        if match.status == "failed":
+            state = state._replace(T_local_base=T_local_base, cov_independent=cov_independent)
+        else:
+            state = state._replace(
+                T_local_base=T_local_base,
+                cov_independent=cov_independent,
+                cov_correlated=match.cov_correlated,
+                cov_prior=fuse(state.cov_prior, match),
+            )
         if self._elsewhere is not None:
             match = replace(match, contradicts_odometry=True)
         self._latest = match
@@ -161,22 +166,21 @@ class MapMatching:
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
         """
         wide = self.config.lost_cov
-        anywhere = replace(start.loosened(wide), cov_prior=wide, cov_independent=wide)
+        anywhere = start.loosened(wide)._replace(cov_prior=wide, cov_independent=wide)
         needed = max(self.agreement(doubtful) + self.config.agreement_gain, self.config.min_agreement)
         best: MotionState | None = None
         for T in self._other_starts(start):
-            match, T_found, _ = self._match_from(points_base, is_valid, replace(anywhere, T_local_base=T))
+            match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
             if match.status == "converged" and match.inlier_ratio > needed:
                 needed = match.inlier_ratio
-                best = replace(anywhere, T_local_base=T_found)
+                best = anywhere._replace(T_local_base=T_found)
         return best
 
     def _other_starts(self, start: MotionState) -> list[FloatArray]:
-        """Where the robot was before, where its last motion leads, and turned as far as the prediction leaves it open."""
+        """Where the robot was before, where its last motion leads, and turns as far as the prediction is open."""
         starts = [self._T_local_before, se2.compose(self._T_local_before, self._increment_before)]
         step_rad = self.config.turn_step_rad
         reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
-        for k in range(1, int(reach_rad / step_rad) + 1):
-            for turn in (k * step_rad, -k * step_rad):
-                starts.append(se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])))
+        turns = [sign * k * step_rad for k in range(1, int(reach_rad / step_rad) + 1) for sign in (1.0, -1.0)]
+        starts += [se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]
         return starts

@@ -43,6 +43,44 @@ def normalised_error2(
 
 
 @kernel
+def judge_predictions(
+    odometry: FloatArray,
+    cov_odometry: FloatArray,
+    previous: FloatArray,
+    found: FloatArray,
+    cov_found: FloatArray,
+    lever_m: float,
+    cap_m: float,
+    gain: float,
+    max_excess: float,
+    means: FloatArray,
+) -> None:
+    """Update running means by a found increment: squared errors of both predictions, excess of the odometry."""
+    means[0] += gain * (prediction_error2(odometry, found, lever_m, cap_m) - means[0])
+    means[1] += gain * (prediction_error2(previous, found, lever_m, cap_m) - means[1])
+    excess = normalised_error2(odometry, cov_odometry, found, cov_found)
+    means[2] += gain * (min(excess, max_excess) - means[2])
+
+
+@kernel
+def learn_velocity(
+    increment: FloatArray,
+    cov: FloatArray,
+    step_s: float,
+    gain: float,
+    least_var: FloatArray,
+    velocity: FloatArray,
+    var: FloatArray,
+) -> None:
+    """Take a velocity from an increment (3,), and learn the variance of its change; with gain 0 only the velocity."""
+    for i in range(3):
+        new = increment[i] / step_s
+        change2 = (new - velocity[i]) ** 2 - cov[i, i] / (step_s * step_s)
+        var[i] = max(var[i] + gain * (min(change2, 25.0 * var[i]) - var[i]), least_var[i])
+        velocity[i] = new
+
+
+@kernel
 def heavy_tail_scale(
     innovation: FloatArray,
     cov_predicted: FloatArray,

@@ -15,7 +15,7 @@ from slammot_graph.core.checks import AtLeastOne, Checked, Positive, PositiveSha
 from slammot_graph.core.odometry_report import MotionSource, OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
-from slammot_graph.odometry._motion_kernels import normalised_error2, prediction_error2, relative
+from slammot_graph.odometry._motion_kernels import judge_predictions, relative
 from slammot_graph.odometry.calibration import CalibrationConfig, SelfCalibration
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.motion import MatchedPose, Motion
@@ -90,7 +90,9 @@ class AdaptiveOdometry:
         self.previous = PreviousMotion(config.previous_motion)
         self.source: MotionSource = "odometry"
         self.T_odom_base: FloatArray = se2.IDENTITY
-        self._scan_before: tuple[float, Scan] | None = None
+        self._scan_before: Scan | None = None
+        self._scan_s = 0.0
+        self._told_pose: tuple[float, FloatArray] | None = None
         self._history = OdometryHistory()
         self._record = _Record()
         self._T_local_before: FloatArray | None = None
@@ -99,27 +101,30 @@ class AdaptiveOdometry:
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
         history, record = self._history, self._record
-        before, self._scan_before = self._scan_before, (history.clock.now_s, scan)
         history.advance(scan.stamp, scan.T_odom_base, scan.odometry)
-        self._scan_before = history.clock.now_s, scan
+        before, self._scan_before = self._scan_before, scan
+        start_s, self._scan_s = self._scan_s, history.clock.now_s
         if before is None:
             return None
-        previous = _with_imu(
-            self.previous.motion(history.clock.step_s), before[1], scan, self.config.imu_std_rad
-        )
+        step_s = history.clock.step_s
         told = None
-        if scan.T_odom_base is not None and before[1].T_odom_base is not None:
-            told = _with_imu(self._by_odometry(before[0]), before[1], scan, self.config.imu_std_rad)
-        record.start_scan(told, previous)
-        is_possible = told is None or not history.clock.is_steady or self._is_possible(told, previous)
-        motion = told if told is not None and is_possible and self.source == "odometry" else previous
+        if scan.T_odom_base is not None and before.T_odom_base is not None:
+            told = self._by_odometry(start_s, self._scan_s)
+        record.start_scan(told, self.previous.increment(step_s))
+        is_possible = told is None or not history.clock.is_steady or self._is_possible(told)
+        if told is not None and is_possible and self.source == "odometry":
+            motion = told
+        else:
+            motion = self.previous.motion(step_s)
         record.count(use_odometry=motion is told, is_possible=is_possible)
+        if before.imu_yaw is not None and scan.imu_yaw is not None:
+            motion = _turned(motion, scan.imu_yaw - before.imu_yaw, self.config.imu_std_rad)
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
         return motion
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`."""
-        now_s = self._history.clock.now_s
+        now_s = self._scan_s
         record = self._record
         agreement = 0.0 if match is None else match.agreement
         record.agreement += self.config.error_gain * (agreement - record.agreement)
@@ -157,16 +162,17 @@ class AdaptiveOdometry:
             n_contradictions=record.n_impossible,
         )
 
-    def _by_odometry(self, before_s: float) -> Motion:
-        """The odometry's motion at the corrected times, corrected, with its covariance."""
+    def _by_odometry(self, start_s: float, end_s: float) -> Motion:
+        """The odometry's motion between two times, both shifted by the clock offset; corrected, with its covariance."""
         now = self.calibration.now
         offset_s = now.clock_offset_s.value
+        known = self._told_pose
+        start = known[1] if known is not None and known[0] == start_s + offset_s else None
+        start = self._history.pose_at(start_s + offset_s) if start is None else start
+        end = self._history.pose_at(end_s + offset_s)
+        self._told_pose = (end_s + offset_s, end) if self._history.has_track or offset_s <= 0.0 else None
         increment = np.empty(3)
-        relative(
-            self._history.pose_at(before_s + offset_s),
-            self._history.pose_at(self._history.clock.now_s + offset_s),
-            increment,
-        )
+        relative(start, end, increment)
         increment = now.corrected(increment)
         cov = self.noise.covariance(increment)
         config = self.config
@@ -177,10 +183,10 @@ class AdaptiveOdometry:
             cov = cov * np.outer(scales, scales)
         return Motion(increment=increment, cov=cov)
 
-    def _is_possible(self, told: Motion, previous: Motion) -> bool:
+    def _is_possible(self, told: Motion) -> bool:
         """Tell whether a robot can have made a motion, given the one that it made before."""
         step_s = self._history.clock.step_s
-        dx, dy, turn = (told.increment - previous.increment).tolist()
+        dx, dy, turn = (told.increment - self._record.previous).tolist()
         if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
             return False
         return bool(abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05)
@@ -191,27 +197,27 @@ class AdaptiveOdometry:
         relative(T_before, match.T_local_base, found)
         if match.is_reliable and self._record.told is not None:
             self._compare(self._record.told, found, match)
-        self.previous.learn(found, np.sqrt(np.diag(match.cov)), self._history.clock.step_s)
+        self.previous.learn(found, match.cov, self._history.clock.step_s)
 
     def _compare(self, told: Motion, found: FloatArray, match: MatchedPose) -> None:
         """Judge both predictions by the increment (3,) that a match found."""
         record, config = self._record, self.config
-        record.error2_odometry += config.error_gain * (
-            prediction_error2(told.increment, found, config.error_lever_m, config.error_cap_m)
-            - record.error2_odometry
+        judge_predictions(
+            told.increment,
+            told.cov,
+            record.previous,
+            found,
+            match.cov,
+            config.error_lever_m,
+            config.error_cap_m,
+            config.error_gain,
+            config.max_excess,
+            record.means,
         )
-        record.error2_previous += config.error_gain * (
-            prediction_error2(record.previous, found, config.error_lever_m, config.error_cap_m)
-            - record.error2_previous
-        )
-        own, other = record.error2_odometry, record.error2_previous
-        record.excess += config.error_gain * (
-            min(normalised_error2(told.increment, told.cov, found, match.cov), config.max_excess)
-            - record.excess
-        )
+        own, other, excess = record.means.tolist()
         if self.source == "odometry":
             is_agreed = record.agreement > config.min_agreement_to_leave
-            if is_agreed and own > config.hysteresis * other and record.excess > config.min_excess:
+            if is_agreed and own > config.hysteresis * other and excess > config.min_excess:
                 self.source = "previous motion"
         elif other > config.hysteresis * own:
             self.source = "odometry"
@@ -223,18 +229,17 @@ class AdaptiveOdometry:
         increment = np.empty(3)
         relative(before[1].T_local_base, after[1].T_local_base, increment)
         cov = before[1].cov_independent + after[1].cov_independent
-        variances = 0.5 * float(cov[0, 0] + cov[1, 1]), float(cov[2, 2])
+        xx, _, _, _, yy, _, _, _, variance_rad2 = cov.ravel().tolist()
+        variances = 0.5 * (xx + yy), variance_rad2
         self.calibration.add(
             (before[0], after[0]), increment, variances, after[1].T_local_base, self._history
         )
 
 
-def _with_imu(motion: Motion, before: Scan, scan: Scan, std_rad: float) -> Motion:
-    """Take the turn from the IMU where both scans have its yaw."""
-    if before.imu_yaw is None or scan.imu_yaw is None:
-        return motion
+def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:
+    """Take the turn of a motion from the IMU."""
     increment, cov = motion.increment.copy(), motion.cov.copy()
-    increment[2] = scan.imu_yaw - before.imu_yaw
+    increment[2] = turn_rad
     cov[2, :] = cov[:, 2] = 0.0
     cov[2, 2] = std_rad * std_rad
     return Motion(increment=increment, cov=cov)
@@ -251,14 +256,14 @@ class _Record:
         self.is_odometry_used = True
         self.told: Motion | None = None
         self.previous: FloatArray = np.zeros(3)
-        self.excess = 0.0
         self.agreement = 0.0
-        self.error2_odometry = 0.0
-        self.error2_previous = 0.0
+        self.means = np.zeros(
+            3
+        )  # squared error of the odometry and of the previous motion, excess of the odometry
 
-    def start_scan(self, told: Motion | None, previous: Motion) -> None:
-        """Take in both predictions of the next motion."""
-        self.told, self.previous = told, previous.increment
+    def start_scan(self, told: Motion | None, previous: FloatArray) -> None:
+        """Take in both predictions of the next motion, the previous one as its increment (3,)."""
+        self.told, self.previous = told, previous
         self.has_odometry |= told is not None
 
     def count(self, *, use_odometry: bool, is_possible: bool) -> None:

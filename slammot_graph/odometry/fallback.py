@@ -52,7 +52,7 @@ class OdometryOrPreviousMotion:
         """See `MotionModel`; the previous motion learns from what was found, by whichever match."""
         if self._T_local_before is not None:
             found = se2.between(self._T_local_before, T_local_base)
-            self.previous.learn(found, FOUND_STD, self._clock.step_s)
+            self.previous.learn(found, FOUND_COV, self._clock.step_s)
         self._T_local_before = T_local_base
 
     def report(self) -> OdometryReport:
@@ -60,5 +60,5 @@ class OdometryOrPreviousMotion:
         return OdometryReport()
 
 
-FOUND_STD: FloatArray = np.array([0.01, 0.01, 0.005])
-"""Standard deviations of a matched increment."""
+FOUND_COV: FloatArray = np.diag(np.square((0.01, 0.01, 0.005)))
+"""Covariance of a matched increment."""

@@ -115,6 +115,11 @@ class OdometryHistory:
         self._poses[self._n] = x, y, theta
         self._n += 1
 
+    @property
+    def has_track(self) -> bool:
+        """Whether the odometry of the whole log is known."""
+        return self._track is not None
+
     def at(self, times_s: FloatArray) -> FloatArray:
         """(n, 3) poses at times (n,) of the clock; beyond the latest one known the latest motion goes on.
 
@@ -133,10 +138,14 @@ class OdometryHistory:
         """(3,) pose at one time of the clock; see `at`."""
         times, poses = self._samples()
         n = len(times)
+        if n and times[-1] == time_s:
+            return np.asarray(poses[-1])
         if n < 2:
             return np.array(poses[0])
         k = min(max(int(np.searchsorted(times, time_s)), 1), n - 1)
         start, end = float(times[k - 1]), float(times[k])
+        if time_s == end:
+            return np.asarray(poses[k])
         share = max((time_s - start) / max(end - start, 1e-6), 0.0)
         return np.asarray(poses[k - 1] + share * (poses[k] - poses[k - 1]))
 

@@ -1,12 +1,11 @@
 """What a motion model gives and what it is told."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from slammot_graph.core.types import FloatArray
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """Motion of the base between two scans.
 
     Attributes
@@ -21,8 +20,7 @@ class Motion:
     cov: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MatchedPose:
+class MatchedPose(NamedTuple):
     """Where a match alone, free of the prediction, found the base.
 
     Attributes

@@ -6,6 +6,7 @@ import numpy as np
 
 from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry._motion_kernels import learn_velocity
 from slammot_graph.odometry.motion import Motion
 
 MAX_STEP_S = 1.0
@@ -41,37 +42,36 @@ class PreviousMotion:
     config : PreviousMotionConfig
     velocity : (3,) array
         Of the base between the last two scans [m/s, m/s, rad/s].
-    std : (3,) array
-        Of its change from scan to scan.
+    var : (3,) array
+        Variance of its change from scan to scan.
     """
 
     def __init__(self, config: PreviousMotionConfig) -> None:
         self.config = config
         self.velocity: FloatArray = np.zeros(3)
-        self.std: FloatArray = np.array(
-            [config.first_std_m_per_s, config.first_std_m_per_s, config.first_std_rad_per_s]
-        )
-        self._least = np.array(
-            [config.least_std_m_per_s, config.least_std_m_per_s, config.least_std_rad_per_s]
-        )
+        self.var: FloatArray = _squares(config.first_std_m_per_s, config.first_std_rad_per_s)
+        self._least_var = _squares(config.least_std_m_per_s, config.least_std_rad_per_s)
         self._n_missed = 0
+
+    def increment(self, step_s: float) -> FloatArray:
+        """(3,) motion over the next `step_s`."""
+        return min(step_s, MAX_STEP_S) * self.velocity
 
     def motion(self, step_s: float) -> Motion:
         """Predict the motion over the next `step_s`; after scans that were not matched it is known less well."""
-        std = (1 + self._n_missed) * step_s * self.std
-        return Motion(increment=min(step_s, MAX_STEP_S) * self.velocity, cov=np.diag(std * std))
+        spread_s = (1 + self._n_missed) * step_s
+        return Motion(increment=self.increment(step_s), cov=np.diag(spread_s * spread_s * self.var))
 
-    def learn(self, increment: FloatArray, std: FloatArray, step_s: float) -> None:
-        """Take in an increment (3,) that a match found, and its standard deviations (3,)."""
-        velocity = increment / step_s
-        change2 = np.square(velocity - self.velocity) - np.square(std / step_s)
-        if not self._n_missed:
-            var = np.square(self.std)
-            var += self.config.gain * (np.minimum(change2, 25.0 * var) - var)
-            self.std = np.sqrt(np.maximum(var, np.square(self._least)))
-        self.velocity = velocity
+    def learn(self, increment: FloatArray, cov: FloatArray, step_s: float) -> None:
+        """Take in an increment (3,) that a match found, and its covariance (3, 3)."""
+        gain = 0.0 if self._n_missed else self.config.gain
+        learn_velocity(increment, cov, step_s, gain, self._least_var, self.velocity, self.var)
         self._n_missed = 0
 
     def miss(self) -> None:
         """Go on from a scan that was not matched."""
         self._n_missed = min(self._n_missed + 1, 20)
+
+
+def _squares(std_m_per_s: float, std_rad_per_s: float) -> FloatArray:
+    return np.square((std_m_per_s, std_m_per_s, std_rad_per_s))

@@ -4,8 +4,7 @@ The only part of localization that reads a scan's odometry: the others get incre
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -86,8 +85,7 @@ class WheelOdometry:
         return OdometryReport()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotionState:
+class MotionState(NamedTuple):
     """A pose in the local frame, and how well it is known; all covariances are right perturbations (body frame).
 
     Attributes
@@ -123,8 +121,7 @@ class MotionState:
         cov_prior, cov_independent, cov_odometry = se2.compound_covariance(
             before, motion.increment, motion.cov
         )
-        return replace(
-            self,
+        return self._replace(
             T_local_base=se2.compose(self.T_local_base, motion.increment),
             cov_prior=cov_prior,
             cov_independent=cov_independent,
@@ -134,8 +131,7 @@ class MotionState:
 
     def loosened(self, extra: FloatArray) -> "MotionState":
         """Trust the motion since the scan before less, by an extra covariance (3, 3) (body frame)."""
-        return replace(
-            self,
+        return self._replace(
             cov_prior=self.cov_prior + extra,
             cov_independent=self.cov_independent + extra,
             cov_odometry=self.cov_odometry + extra,
@@ -197,18 +193,17 @@ class Propagation:
 
         What the matches share is that of the latest one that succeeded, so it stays.
         """
-        self.state = replace(self.predicted, cov_correlated=self.state.cov_correlated)
+        self.state = self.predicted._replace(cov_correlated=self.state.cov_correlated)
         return self.state
 
     def start_keyframe(self) -> None:
         """Begin to gather the odometry's errors anew."""
-        self.state = replace(self.state, cov_odometry=np.zeros((3, 3)))
+        self.state = self.state._replace(cov_odometry=np.zeros((3, 3)))
 
     def lose_track(self, cov: FloatArray, distance_m: float) -> None:
         """Take the motion since the last keyframe for unknown, up to a covariance (3, 3) and a distance."""
         cov_odometry = self.state.cov_odometry + cov
-        self.state = replace(
-            self.state,
+        self.state = self.state._replace(
             cov_prior=cov_odometry,
             cov_independent=cov_odometry,
             cov_correlated=np.zeros((3, 3)),
