@@ -46,6 +46,11 @@ class CalibrationConfig(Checked):
         Increments are joined until they are about this long, so that scales stand out of the noise ...
     max_window : int
         ... but no more than so many.
+    noise_window_m : float
+        The noise is told by increments joined to this length: over a shorter one, errors that do not average out along
+        the path, as of the scales, hide behind the matches' own ...
+    max_noise_window : int
+        ... but no more than so many.
     min_distance_m, min_turn_rad : float
         A window in which the odometry tells of less distance, or turn, tells nothing of that scale.
     scale_std : float
@@ -67,6 +72,8 @@ class CalibrationConfig(Checked):
     min_gain: Positive = 12.0
     window_m: Positive = 0.4
     max_window: Count = 8
+    noise_window_m: Positive = 4.0
+    max_noise_window: Count = 80
     min_distance_m: Positive = 0.05
     min_turn_rad: Positive = 0.08
     scale_std: Positive = 0.5
@@ -162,7 +169,8 @@ class SelfCalibration:
         """Fit all parameters to the increments kept."""
         rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
         offset = self._fit_offset(rows, history)
-        windows = _Windows(rows, offset.value, history, self.config)
+        config = self.config
+        windows = _Windows(rows, offset.value, history, config, (config.window_m, config.max_window))
         if windows.n < MIN_WINDOWS:
             self.now = OdometryCalibration(clock_offset_s=offset)
             return
@@ -174,7 +182,10 @@ class SelfCalibration:
             heading_scale=heading[0],
             heading_bias_rad_per_m=heading[1],
         )
-        noise_m, noise_rad = self._fit_noise(windows, first)
+        longer = _Windows(
+            rows, offset.value, history, config, (config.noise_window_m, config.max_noise_window)
+        )
+        noise_m, noise_rad = self._fit_noise(longer, first)
         self.now = OdometryCalibration(
             clock_offset_s=offset,
             distance_scale=distance,
@@ -275,6 +286,8 @@ class SelfCalibration:
         self, windows: "_Windows", calibration: OdometryCalibration
     ) -> tuple[Estimated, Estimated]:
         """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own."""
+        if windows.n < MIN_WINDOWS:
+            return Estimated(value=1.0), Estimated(value=1.0)
         increments = calibration.corrected(windows.steps)
         T = increments[:, 0]
         for k in range(1, increments.shape[1]):
@@ -311,12 +324,18 @@ class _Windows:
     """
 
     def __init__(
-        self, rows: FloatArray, offset_s: float, history: OdometryHistory, config: CalibrationConfig
+        self,
+        rows: FloatArray,
+        offset_s: float,
+        history: OdometryHistory,
+        config: CalibrationConfig,
+        size_range: tuple[float, int],
     ) -> None:
+        length_m, max_size = size_range
         way = np.hypot(rows[:, 2], rows[:, 3])
         moving = way[way > 0.3 * way.max(initial=0.0)]
         usual = float(np.median(moving)) if moving.size else 0.0
-        self.size = size = int(np.clip(round(config.window_m / max(usual, 1e-3)), 1, config.max_window))
+        self.size = size = int(np.clip(round(length_m / max(usual, 1e-3)), 1, max_size))
         first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 4, 1))
         within = first[:, None] + np.arange(size)[None, :]
         # the scans of a window follow each other without a gap
