@@ -192,8 +192,7 @@ class EllipseDetector:
     ) -> Detection:
         """See `Detector`: repeat the test at the matched pose, or abstain where the match does not deserve it.
 
-        A match refused as improbable leaves the prediction, and with it the test already made there; so does one
-        that moves no point by more than a share of a cell.
+        A match that moves no point by more than a share of a cell leaves the test already made as it is.
         """
         retest = self.config.retest
         if retest is None:

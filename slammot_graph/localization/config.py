@@ -59,6 +59,8 @@ class ScanToMapConfig(Checked):
         ... the usual one being a running mean with this weight of the latest match ...
     agreement_gain : float
         ... and one from another start is believed where so many more agree.
+    turn_reach, turn_step_rad : float
+        Starts are turned in these steps up to so many standard deviations of the predicted heading.
     min_agreement : float
         Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
         that moves disagree.
@@ -79,6 +81,8 @@ class ScanToMapConfig(Checked):
     usual_share: Share = 0.75
     usual_gain: PositiveShare = 0.05
     agreement_gain: Share = 0.05
+    turn_reach: Positive = 2.5
+    turn_step_rad: Positive = 0.3
     min_agreement: Share = 0.75
     close_loops: bool = True
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)

@@ -1,5 +1,6 @@
 """A scan matched onto the local map, also where the prediction is wrong."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -155,7 +156,7 @@ class MapMatching:
     def _match_elsewhere(
         self, points_base: FloatArray, is_valid: BoolArray, doubtful: MatchResult, start: MotionState
     ) -> MotionState | None:
-        """Match all returns from where the robot was before, and from where its last motion leads.
+        """Match all returns from other starts.
 
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
         """
@@ -163,9 +164,19 @@ class MapMatching:
         anywhere = replace(start.loosened(wide), cov_prior=wide, cov_independent=wide)
         needed = max(self.agreement(doubtful) + self.config.agreement_gain, self.config.min_agreement)
         best: MotionState | None = None
-        for T in (self._T_local_before, se2.compose(self._T_local_before, self._increment_before)):
+        for T in self._other_starts(start):
             match, T_found, _ = self._match_from(points_base, is_valid, replace(anywhere, T_local_base=T))
             if match.status == "converged" and match.inlier_ratio > needed:
                 needed = match.inlier_ratio
                 best = replace(anywhere, T_local_base=T_found)
         return best
+
+    def _other_starts(self, start: MotionState) -> list[FloatArray]:
+        """Where the robot was before, where its last motion leads, and turned as far as the prediction leaves it open."""
+        starts = [self._T_local_before, se2.compose(self._T_local_before, self._increment_before)]
+        step_rad = self.config.turn_step_rad
+        reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
+        for k in range(1, int(reach_rad / step_rad) + 1):
+            for turn in (k * step_rad, -k * step_rad):
+                starts.append(se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])))
+        return starts

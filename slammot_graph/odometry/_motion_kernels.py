@@ -74,7 +74,7 @@ def heavy_tail_scale(
                 gain[i, j] = scale * total
         w = gain @ innovation
         # E[w' inv(Q) w] = w' inv(Q) w + trace(inv(Q) (sQ - K sQ)) = w' inv(Q) w + s (3 - trace(K))
-        expected = float(w @ (inverse_motion @ w)) + scale * (3.0 - gain[0, 0] - gain[1, 1] - gain[2, 2])
+        expected = float(w @ (inverse_motion @ w)) + scale * float(3.0 - gain[0, 0] - gain[1, 1] - gain[2, 2])
         new = (dof + expected) / (dof + 3.0)
         if abs(new - scale) < 0.01 * scale:
             return max(new, 1.0)

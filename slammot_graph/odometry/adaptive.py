@@ -60,8 +60,8 @@ class AdaptiveOdometryConfig(Checked):
     error_gain: PositiveShare = 0.1
     error_lever_m: Positive = 2.0
     error_cap_m: Positive = 0.5
-    hysteresis: AtLeastOne = 2.0
-    min_excess: Positive = 3.0
+    hysteresis: AtLeastOne = 4.0
+    min_excess: Positive = 10.0
     max_excess: Positive = 30.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
@@ -99,17 +99,19 @@ class AdaptiveOdometry:
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
         history, record = self._history, self._record
-        before, self._scan_before = self._scan_before, (history.clock_s, scan)
+        before, self._scan_before = self._scan_before, (history.clock.now_s, scan)
         history.advance(scan.stamp, scan.T_odom_base, scan.odometry)
-        self._scan_before = history.clock_s, scan
+        self._scan_before = history.clock.now_s, scan
         if before is None:
             return None
-        previous = _with_imu(self.previous.motion(history.step_s), before[1], scan, self.config.imu_std_rad)
+        previous = _with_imu(
+            self.previous.motion(history.clock.step_s), before[1], scan, self.config.imu_std_rad
+        )
         told = None
         if scan.T_odom_base is not None and before[1].T_odom_base is not None:
             told = _with_imu(self._by_odometry(before[0]), before[1], scan, self.config.imu_std_rad)
         record.start_scan(told, previous)
-        is_possible = told is None or not history.is_steady or self._is_possible(told, previous)
+        is_possible = told is None or not history.clock.is_steady or self._is_possible(told, previous)
         motion = told if told is not None and is_possible and self.source == "odometry" else previous
         record.count(use_odometry=motion is told, is_possible=is_possible)
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
@@ -117,7 +119,7 @@ class AdaptiveOdometry:
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`."""
-        now_s = self._history.clock_s
+        now_s = self._history.clock.now_s
         record = self._record
         agreement = 0.0 if match is None else match.agreement
         record.agreement += self.config.error_gain * (agreement - record.agreement)
@@ -162,7 +164,7 @@ class AdaptiveOdometry:
         increment = np.empty(3)
         relative(
             self._history.pose_at(before_s + offset_s),
-            self._history.pose_at(self._history.clock_s + offset_s),
+            self._history.pose_at(self._history.clock.now_s + offset_s),
             increment,
         )
         increment = now.corrected(increment)
@@ -177,7 +179,7 @@ class AdaptiveOdometry:
 
     def _is_possible(self, told: Motion, previous: Motion) -> bool:
         """Tell whether a robot can have made a motion, given the one that it made before."""
-        step_s = self._history.step_s
+        step_s = self._history.clock.step_s
         dx, dy, turn = (told.increment - previous.increment).tolist()
         if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
             return False
@@ -189,7 +191,7 @@ class AdaptiveOdometry:
         relative(T_before, match.T_local_base, found)
         if match.is_reliable and self._record.told is not None:
             self._compare(self._record.told, found, match)
-        self.previous.learn(found, np.sqrt(np.diag(match.cov)), self._history.step_s)
+        self.previous.learn(found, np.sqrt(np.diag(match.cov)), self._history.clock.step_s)
 
     def _compare(self, told: Motion, found: FloatArray, match: MatchedPose) -> None:
         """Judge both predictions by the increment (3,) that a match found."""
@@ -216,7 +218,7 @@ class AdaptiveOdometry:
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
         """Give two matches in a row to the calibration."""
-        if not self._history.is_regular or self._record.told is None:
+        if not self._history.clock.is_regular or self._record.told is None:
             return
         increment = np.empty(3)
         relative(before[1].T_local_base, after[1].T_local_base, increment)

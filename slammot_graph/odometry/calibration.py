@@ -17,9 +17,10 @@ from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.robust_fit import noise_scale_of, robust_fit, stds_of
 
-DOF = 4.0
-"""Degrees of freedom of Student's t: slips and wrong matches have heavy tails."""
+MIN_WINDOWS = 6
+"""Scales are not fitted to fewer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +42,12 @@ class CalibrationConfig(Checked):
         Step of the search, refined to a fifth.
     min_gain : float
         Natural logarithm of the likelihood ratio against no offset at which an offset is believed.
-    window_m, window_rad : float
+    window_m : float
         Increments are joined until they are about this long, so that scales stand out of the noise ...
     max_window : int
         ... but no more than so many.
+    min_distance_m, min_turn_rad : float
+        A window in which the odometry tells of less distance, or turn, tells nothing of that scale.
     scale_std : float
         Prior standard deviation of both scales about 1, and of the direction [rad].
     bias_std_rad_per_m : float
@@ -56,15 +59,16 @@ class CalibrationConfig(Checked):
     """
 
     n_kept: Count = 800
-    n_first: Count = 40
+    n_first: Count = 20
     growth: Positive = 1.5
-    n_between: Count = 250
+    n_between: Count = 500
     max_offset_s: Positive = 0.6
     offset_step_s: Positive = 0.05
     min_gain: Positive = 12.0
     window_m: Positive = 0.4
-    window_rad: Positive = 0.4
     max_window: Count = 8
+    min_distance_m: Positive = 0.05
+    min_turn_rad: Positive = 0.08
     scale_std: Positive = 0.5
     bias_std_rad_per_m: Positive = 0.1
     min_std_m: Positive = 0.003
@@ -97,16 +101,6 @@ class OdometryCalibration:
         x, y, turn = increments[..., 0], increments[..., 1], increments[..., 2]
         bias = self.heading_bias_rad_per_m.value * np.hypot(x, y)
         return np.stack([c * x - s * y, s * x + c * y, self.heading_scale.value * turn + bias], axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A robust linear fit: parameters, their information, residuals and cost."""
-
-    x: FloatArray
-    information: FloatArray
-    residuals: FloatArray
-    cost: float
 
 
 class SelfCalibration:
@@ -169,7 +163,7 @@ class SelfCalibration:
         rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
         offset = self._fit_offset(rows, history)
         windows = _Windows(rows, offset.value, history, self.config)
-        if windows.n < 10:
+        if windows.n < MIN_WINDOWS:
             self.now = OdometryCalibration(clock_offset_s=offset)
             return
         heading, distance, direction = self._fit_scales(windows)
@@ -219,7 +213,7 @@ class SelfCalibration:
         """Negative log likelihood of the increments at a clock offset, the other parameters fitted."""
         u = _told(rows[:, 0], rows[:, 1], float(offset), history, spread_s=_usual_step(rows))
         std = self._stds(rows)
-        heading = _robust_fit(
+        heading = robust_fit(
             np.column_stack([u[:, 2], np.hypot(u[:, 0], u[:, 1])]),
             rows[:, 4],
             std[:, 1],
@@ -227,7 +221,7 @@ class SelfCalibration:
         )
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         z = np.concatenate([rows[:, 2], rows[:, 3]])
-        translation = _robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
+        translation = robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
         return heading.cost + translation.cost
 
     def _stds(self, rows: FloatArray) -> FloatArray:
@@ -241,30 +235,40 @@ class SelfCalibration:
         return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.scale_std])
 
     def _fit_scales(self, windows: "_Windows") -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
-        """Heading scale and bias, distance scale, and direction; what is not excited keeps its prior."""
-        u, z, std = windows.told, windows.found, windows.std
-        d = np.hypot(u[:, 0], u[:, 1])
-        is_excited = (np.abs(u[:, 2]) > 0.02) | (d > 0.03)
-        if np.count_nonzero(is_excited) < 8:
-            one, zero = Estimated(value=1.0), Estimated(value=0.0)
-            return (one, zero), one, zero
-        u, z, std, d = u[is_excited], z[is_excited], std[is_excited], d[is_excited]
-        heading = _robust_fit(np.column_stack([u[:, 2], d]), z[:, 2], std[:, 1], self._heading_prior())
+        """Heading scale and bias, distance scale, and direction.
+
+        Only windows with clearly more motion than the odometry's noise tell of a scale: fitted to the noise of a still
+        heading, a scale would go to zero. What too few windows excite keeps its prior.
+        """
+        return self._fit_heading(windows), *self._fit_distance(windows)
+
+    def _fit_heading(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
+        turn, found, std = windows.told[:, 2], windows.found[:, 2], windows.std[:, 1]
+        d = np.hypot(windows.told[:, 0], windows.told[:, 1])
+        prior = self._heading_prior()
+        is_turning = np.abs(turn) > self.config.min_turn_rad
+        if np.count_nonzero(is_turning) < MIN_WINDOWS:
+            prior = prior[0], np.array([1e-4, prior[1][1]])
+            is_turning = np.ones(len(turn), dtype=np.bool_)
+        A = np.column_stack([turn, d])[is_turning]
+        fit = robust_fit(A, found[is_turning], std[is_turning], prior)
+        stds = stds_of(fit, self._heading_prior()[1])
+        if prior[1][0] < self.config.scale_std:
+            stds[0] = math.inf
+        return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
+
+    def _fit_distance(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
+        is_moving = np.hypot(windows.told[:, 0], windows.told[:, 1]) > self.config.min_distance_m
+        if np.count_nonzero(is_moving) < MIN_WINDOWS:
+            return Estimated(value=1.0), Estimated(value=0.0)
+        u, z, std = windows.told[is_moving], windows.found[is_moving], windows.std[is_moving, 0]
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
-        translation = _robust_fit(
-            rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std[:, 0], 2), self._scale_prior()
-        )
-        stds = _stds_of(heading, self._heading_prior()[1])
-        scale = math.hypot(*translation.x)
-        scale_std = _stds_of(translation, self._scale_prior()[1])[0]
-        direction = math.atan2(translation.x[1], translation.x[0])
+        prior = self._scale_prior()
+        fit = robust_fit(rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std, 2), prior)
+        scale, std_scale = math.hypot(*fit.x), stds_of(fit, prior[1])[0]
         return (
-            (
-                Estimated(value=float(heading.x[0]), std=stds[0]),
-                Estimated(value=float(heading.x[1]), std=stds[1]),
-            ),
-            Estimated(value=scale, std=scale_std),
-            Estimated(value=direction, std=scale_std / max(scale, 0.1)),
+            Estimated(value=scale, std=std_scale),
+            Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=std_scale / max(scale, 0.1)),
         )
 
     def _fit_noise(
@@ -283,8 +287,8 @@ class SelfCalibration:
         m2 = np.concatenate([errors[:, 0] ** 2, errors[:, 1] ** 2])
         spread = self.config.noise_scale_std
         return (
-            _noise_scale(m2, np.tile(variances[:, 0], 2), np.tile(own[:, 0], 2), spread),
-            _noise_scale(errors[:, 2] ** 2, variances[:, 1], own[:, 1], spread),
+            noise_scale_of(m2, np.tile(variances[:, 0], 2), np.tile(own[:, 0], 2), spread),
+            noise_scale_of(errors[:, 2] ** 2, variances[:, 1], own[:, 1], spread),
         )
 
     def noise_variances(self, increments: FloatArray) -> FloatArray:
@@ -313,7 +317,7 @@ class _Windows:
         moving = way[way > 0.3 * way.max(initial=0.0)]
         usual = float(np.median(moving)) if moving.size else 0.0
         self.size = size = int(np.clip(round(config.window_m / max(usual, 1e-3)), 1, config.max_window))
-        first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 2, 1))
+        first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 4, 1))
         within = first[:, None] + np.arange(size)[None, :]
         # the scans of a window follow each other without a gap
         is_whole: BoolArray = np.ones(len(first), dtype=np.bool_)
@@ -382,45 +386,3 @@ def _told(
 
     increments = _relative(poses(before_s.ravel() + offset_s), poses(after_s.ravel() + offset_s))
     return increments.reshape(*before_s.shape, 3)
-
-
-def _robust_fit(A: FloatArray, y: FloatArray, std: FloatArray, prior: tuple[FloatArray, FloatArray]) -> _Fit:
-    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x."""
-    mean, prior_std = prior
-    prior_information = np.diag(prior_std**-2.0)
-    x: FloatArray = mean
-    information: FloatArray = prior_information
-    residuals = y - A @ x
-    for _ in range(4):
-        scaled2 = np.square(residuals / std)
-        weights = (DOF + 1.0) / (DOF + scaled2) / np.square(std)
-        weighted = A * weights[:, None]
-        information = weighted.T @ A + prior_information
-        x = np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
-        residuals = y - A @ x
-    cost = 0.5 * (DOF + 1.0) * float(np.log1p(np.square(residuals / std) / DOF).sum())
-    return _Fit(x, information, residuals, cost)
-
-
-def _stds_of(fit: _Fit, prior_std: FloatArray) -> list[float]:
-    """Standard deviations of the parameters; infinite where the data say no more than the prior."""
-    cov = np.linalg.inv(fit.information)
-    stds = np.sqrt(np.diag(cov))
-    return [float(std) if std < 0.5 * prior else math.inf for std, prior in zip(stds, prior_std, strict=True)]
-
-
-def _noise_scale(errors2: FloatArray, model: FloatArray, own: FloatArray, spread: float) -> Estimated:
-    """Scale of a standard deviation so that errors have variance ``scale^2 model + own``, under Student's t."""
-    logs = np.linspace(math.log(1e-5), math.log(100.0), 36)
-    costs = np.empty(len(logs))
-    for k, log_scale in enumerate(logs):
-        var = math.exp(log_scale) * model + own
-        costs[k] = 0.5 * (np.log(var) + (DOF + 1.0) * np.log1p(errors2 / var / DOF)).sum()
-    costs += 0.5 * (logs / spread) ** 2
-    k = int(np.argmin(costs))
-    step = logs[1] - logs[0]
-    inner = int(np.clip(k, 1, len(logs) - 2))
-    curvature = (costs[inner - 1] - 2.0 * costs[inner] + costs[inner + 1]) / step**2
-    value = math.exp(0.5 * logs[k])
-    std = 0.5 * value / math.sqrt(curvature) if curvature > 1e-6 else math.inf
-    return Estimated(value=value, std=std)

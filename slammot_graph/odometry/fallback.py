@@ -6,7 +6,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
-from slammot_graph.odometry.history import OdometryHistory
+from slammot_graph.odometry.history import ScanClock
 from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
@@ -28,14 +28,14 @@ class OdometryOrPreviousMotion:
         self.noise = noise
         self.previous = PreviousMotion(PreviousMotionConfig())
         self.T_odom_base: FloatArray = se2.IDENTITY
-        self._clock = OdometryHistory()
+        self._clock = ScanClock()
         self._T_odom_before: FloatArray | None = None
         self._T_local_before: FloatArray | None = None
         self._is_first = True
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
-        self._clock.advance(scan.stamp, None, None)
+        self._clock.advance(scan.stamp)
         before, self._T_odom_before = self._T_odom_before, scan.T_odom_base
         if self._is_first:
             self._is_first = False

@@ -20,13 +20,14 @@ FIRST_STEP_S = 0.1
 """Time between two scans as long as none is known [s]."""
 
 
-class OdometryHistory:
-    """Odometry poses of the whole log where it gives them, else those at the scans so far, in the order of the log.
+class ScanClock:
+    """Time from scan to scan, which rises whatever the stamps do.
 
     Attributes
     ----------
-    clock_s : float
+    now_s : float
         Time of the latest scan since the first one [s]: the stamps' own where they rise, usual steps elsewhere.
+    first_stamp : float
     step_s : float
         Since the scan before, as velocities count it [s].
     is_regular : bool
@@ -35,17 +36,51 @@ class OdometryHistory:
         The latest two steps are usual ones.
     """
 
-    N_KEPT = 4096
-
     def __init__(self) -> None:
-        self.clock_s = 0.0
+        self.now_s = 0.0
+        self.first_stamp = 0.0
         self.step_s = FIRST_STEP_S
         self.is_regular = False
         self.is_steady = False
         self._was_usual = False
         self._usual_s = math.nan
         self._stamp = math.nan
-        self._first_stamp = 0.0
+
+    def advance(self, stamp: float, *, has_track: bool = False) -> None:
+        """Move on to the next scan; where the log gives the odometry's own samples, long gaps count too."""
+        step_s = stamp - self._stamp
+        usual_s = FIRST_STEP_S if math.isnan(self._usual_s) else self._usual_s
+        was_regular = self.is_regular
+        self.is_regular = step_s > 0.0 and (
+            has_track or math.isnan(self._usual_s) or step_s < MAX_STEP_RATIO * usual_s
+        )
+        if self.is_regular:
+            gain = 1.0 if math.isnan(self._usual_s) else USUAL_GAIN
+            self._usual_s = usual_s + gain * (min(step_s, MAX_STEP_RATIO * usual_s) - usual_s)
+        if math.isnan(self._stamp):
+            self.first_stamp = stamp
+        else:
+            self.now_s += step_s if self.is_regular else usual_s
+        self._stamp = stamp
+        is_usual = self.is_regular and usual_s / USUAL_RATIO < step_s < USUAL_RATIO * usual_s
+        self.is_steady, self._was_usual = is_usual and self._was_usual, is_usual
+        # a long step after one that cannot be right makes up for it; another one is a gap
+        is_gap = self.is_regular and step_s >= USUAL_RATIO * usual_s and was_regular
+        self.step_s = step_s if is_usual or is_gap else usual_s
+
+
+class OdometryHistory:
+    """Odometry poses of the whole log where it gives them, else those at the scans so far, in the order of the log.
+
+    Attributes
+    ----------
+    clock : ScanClock
+    """
+
+    N_KEPT = 4096
+
+    def __init__(self) -> None:
+        self.clock = ScanClock()
         self._track: OdometryTrack | None = None
         self._timed_track: OdometryTrack | None = None
         self._track_times: FloatArray = np.zeros(0)
@@ -64,7 +99,7 @@ class OdometryHistory:
         track : OdometryTrack or None
             The odometry of the whole log, on the clock of the stamps.
         """
-        self._advance_clock(stamp, has_track=track is not None)
+        self.clock.advance(stamp, has_track=track is not None)
         self._track = track
         if T_odom_base is None:
             return
@@ -76,7 +111,7 @@ class OdometryHistory:
         if self._n:
             before = float(self._poses[self._n - 1, 2])
             theta = before + math.remainder(theta - before, 2.0 * math.pi)
-        self._times[self._n] = self.clock_s
+        self._times[self._n] = self.clock.now_s
         self._poses[self._n] = x, y, theta
         self._n += 1
 
@@ -111,26 +146,5 @@ class OdometryHistory:
             return self._times[: self._n], self._poses[: self._n]
         if self._track is not self._timed_track:
             self._timed_track = self._track
-            self._track_times = self._track.stamps - self._first_stamp
+            self._track_times = self._track.stamps - self.clock.first_stamp
         return self._track_times, self._track.T_odom_base
-
-    def _advance_clock(self, stamp: float, *, has_track: bool) -> None:
-        step_s = stamp - self._stamp
-        usual_s = FIRST_STEP_S if math.isnan(self._usual_s) else self._usual_s
-        was_regular = self.is_regular
-        self.is_regular = step_s > 0.0 and (
-            has_track or math.isnan(self._usual_s) or step_s < MAX_STEP_RATIO * usual_s
-        )
-        if self.is_regular:
-            gain = 1.0 if math.isnan(self._usual_s) else USUAL_GAIN
-            self._usual_s = usual_s + gain * (min(step_s, MAX_STEP_RATIO * usual_s) - usual_s)
-        if math.isnan(self._stamp):
-            self._first_stamp = stamp
-        else:
-            self.clock_s += step_s if self.is_regular else usual_s
-        self._stamp = stamp
-        is_usual = self.is_regular and usual_s / USUAL_RATIO < step_s < USUAL_RATIO * usual_s
-        self.is_steady, self._was_usual = is_usual and self._was_usual, is_usual
-        # a long step after one that cannot be right makes up for it; another one is a gap
-        is_gap = self.is_regular and step_s >= USUAL_RATIO * usual_s and was_regular
-        self.step_s = step_s if is_usual or is_gap else usual_s

@@ -13,7 +13,7 @@ from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.run import Run
-from tests.rooms import drive, kidnapped
+from tests.rooms import drive, kidnapped, odometry_of
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_a_robot_that_was_lost() -> None:
 def test_odometry_that_never_moves() -> None:
     log = drive(60)
     for scan in log.scans:
-        scan.T_odom_base[:] = 0.0
+        odometry_of(scan)[:] = 0.0
     result = Run(log).complete()
     assert "odometry never moves" in [finding.kind for finding in result.verdict]
 

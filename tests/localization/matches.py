@@ -29,4 +29,4 @@ def match_with(**changes: Any) -> MatchResult:
 
 
 FAILED = match_with(status="failed", information=np.zeros((3, 3)), graph_information=np.zeros((3, 3)))
-IMPROBABLE = replace(FAILED, is_refused=True)
+CONTRADICTING = match_with(contradicts_odometry=True)

@@ -9,10 +9,13 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.results import StepResult
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.methods import get_method
+from slammot_graph.odometry.adaptive import AdaptiveOdometry
+from slammot_graph.odometry.motion import Motion
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from tests.rooms import ROOM, ListLog, box, drive, occluded, odometry_of, truth_from_start
+from tests.rooms import ROOM, ListLog, box, drive, occluded, truth_from_start
 
 N_SCANS = 70
 EMPTY_ROOM = ROOM[:4]
@@ -76,18 +79,28 @@ def test_its_covariance_contains_what_is_correlated(room: Room) -> None:
         assert np.linalg.eigvalsh(step.cov_anchor_base)[0] > 0.0
 
 
-def test_the_tests_covariance_contains_that_of_the_match_before(room: Room) -> None:
-    """Predicted from the scan before, which has errors correlated with others', along the odometry."""
-    steps = room[1]
-    for before, step in itertools.pairwise(steps[1:]):
+def test_the_tests_covariance_contains_that_of_the_match_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predicted from the scan before, which has errors correlated with others', along the motion model's motion."""
+    motions, advance = list[Motion | None](), AdaptiveOdometry.advance
+
+    def recorded(self: AdaptiveOdometry, scan: Scan) -> Motion | None:
+        motions.append(advance(self, scan))
+        return motions[-1]
+
+    monkeypatch.setattr(AdaptiveOdometry, "advance", recorded)
+    steps, _ = steps_of(drive(N_SCANS, with_person=False))
+    n_tested = 0
+    for (before, step), motion in zip(itertools.pairwise(steps[1:]), motions[2:], strict=True):
         assert before.match is not None
+        assert motion is not None
         assert is_positive(step.cov_relative - before.match.cov_correlated)
         if step.anchor_scan == before.anchor_scan and before.node is None:
-            increment = se2.between(odometry_of(before.scan), odometry_of(step.scan))
             independent = before.cov_anchor_base - before.match.cov_correlated
-            noise = PipelineConfig().odometry_noise.covariance(increment)
-            expected = se2.compound_covariance(independent, increment, noise) + before.match.cov_correlated
+            expected = se2.compound_covariance(independent, motion.increment, motion.cov)
+            expected = expected + before.match.cov_correlated
             np.testing.assert_allclose(step.cov_relative, expected, rtol=1e-9, atol=1e-15)
+            n_tested += 1
+    assert n_tested > N_SCANS // 2
 
 
 def test_a_scan_without_a_match_keeps_what_was_correlated(room: Room) -> None:

@@ -2,8 +2,8 @@ import numpy as np
 
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.types import FloatArray
-from slammot_graph.localization.base import FIRST_COV, fuse, refuse
-from tests.localization.matches import MATCH, match_with
+from slammot_graph.localization.base import FIRST_COV, fuse
+from tests.localization.matches import match_with
 
 
 def match_of(information: FloatArray) -> MatchResult:
@@ -20,12 +20,3 @@ def test_fusing_adds_information() -> None:
 
 def test_the_first_covariance_cannot_be_changed_by_accident() -> None:
     assert not FIRST_COV.flags.writeable
-
-
-def test_a_refused_match_tells_nothing() -> None:
-    match = refuse(MATCH, "so it is")
-    assert (match.status, match.reason, match.is_refused) == ("failed", "so it is", True)
-    assert not match.information.any()
-    assert not match.graph_information.any()
-    assert np.isnan(match.nis)
-    np.testing.assert_array_equal(match.T_ref_base, MATCH.T_ref_base)

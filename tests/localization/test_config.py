@@ -16,12 +16,13 @@ def test_the_covariance_of_a_lost_robot() -> None:
         ({"n_lost": 0}, "n_lost must be at least 1, not 0"),
         *[
             ({name: 0.0}, f"{name} must be positive, not 0.0")
-            for name in ("lost_std_m", "lost_std_rad", "jump_nis", "max_counted_nis")
+            for name in ("lost_std_m", "lost_std_rad", "motion_dof")
         ],
         ({"kidnapped_distance_m": -1.0}, "kidnapped_distance_m must not be negative, not -1.0"),
         ({"lost_distance_m": float("nan")}, "lost_distance_m must not be negative, not nan"),
-        ({"jump_inlier_ratio": 1.1}, r"jump_inlier_ratio must be in \[0, 1\], not 1.1"),
-        ({"nis_gain": -0.1}, r"nis_gain must be in \[0, 1\], not -0.1"),
+        ({"min_agreement": 1.1}, r"min_agreement must be in \[0, 1\], not 1.1"),
+        ({"usual_gain": 0.0}, r"usual_gain must be in \(0, 1\], not 0.0"),
+        ({"min_tail_scale": 0.5}, "min_tail_scale must be at least 1, not 0.5"),
     ],
 )
 def test_impossible_settings_are_refused(changes: dict[str, float], text: str) -> None:

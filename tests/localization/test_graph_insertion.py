@@ -59,6 +59,7 @@ def insert(insertion: GraphInsertion, k: int, path_m: float = 0.0) -> tuple[int 
         cov_independent=COV,
         cov_correlated=0.1 * COV,
         cov_odometry=COV,
+        cov_motion=0.1 * COV,
     )
     match = None
     if insertion.local_map.keyframes:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from slammot_graph.core.results import MatchResult
 from slammot_graph.localization.lost_detector import Loss, LostDetector
-from tests.localization.matches import FAILED, IMPROBABLE, MATCH
+from tests.localization.matches import CONTRADICTING, FAILED, MATCH
 
 N_LOST, KIDNAPPED_M = 3, 0.2
 HERE = np.array([5.0, 1.0, 0.3])
@@ -36,7 +36,7 @@ def test_matches_that_fail_in_a_row(detector: LostDetector) -> None:
 def test_what_only_contradicts_the_odometry_is_no_loss_and_neither_is_an_occluded_laser(
     detector: LostDetector,
 ) -> None:
-    assert all(update(detector, IMPROBABLE) is None for _ in range(20))
+    assert all(update(detector, CONTRADICTING) is None for _ in range(20))
     assert all(update(detector, FAILED, 0.5 * k, sees=False) is None for k in range(20))
     assert (detector.n_failed, detector.n_blind) == (0, 20)
 
@@ -71,15 +71,15 @@ def test_a_short_occlusion_is_none(detector: LostDetector) -> None:
     assert update(detector, MATCH) is None
 
 
-@given(st.lists(st.sampled_from(["ok", "failed", "refused", "blind"]), max_size=60))
+@given(st.lists(st.sampled_from(["ok", "failed", "contradicting", "blind"]), max_size=60))
 def test_losses_follow_from_the_counts(outcomes: list[str]) -> None:
     detector, n_failed, n_blind = LostDetector(N_LOST, KIDNAPPED_M), 0, 0
     update(detector, MATCH)
     for outcome in outcomes:
         sees = outcome != "blind"
-        match = {"ok": MATCH, "failed": FAILED, "refused": IMPROBABLE, "blind": FAILED}[outcome]
+        match = {"ok": MATCH, "failed": FAILED, "contradicting": CONTRADICTING, "blind": FAILED}[outcome]
         loss = update(detector, match, sees=sees)
-        n_failed = 0 if outcome == "ok" else n_failed + (outcome == "failed")
+        n_failed = 0 if outcome in ("ok", "contradicting") else n_failed + (outcome == "failed")
         expected = None
         if sees and n_blind >= N_LOST:
             expected = Loss(cause="kidnapped", n_scans=n_blind)

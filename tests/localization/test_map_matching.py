@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slammot_graph.core import se2
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.map_matching import MapMatching
@@ -13,7 +14,7 @@ from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyfr
 from slammot_graph.odometry import MotionState
 from slammot_graph.registration.base import Match
 from tests.localization.matches import FAILED
-from tests.rooms import HALL, LASER, errors, take_scan
+from tests.rooms import HALL, LASER, errors, is_person, take_scan
 
 A = np.array([2.0, 0.0, 1.5])
 STEP = np.array([0.1, 0.02, 0.03])
@@ -40,6 +41,7 @@ def state_at(T_local_base: FloatArray) -> MotionState:
         cov_independent=COV,
         cov_correlated=np.zeros((3, 3)),
         cov_odometry=COV,
+        cov_motion=COV,
     )
 
 
@@ -64,10 +66,11 @@ def test_a_match_that_fails_leaves_the_prediction() -> None:
 
 
 @pytest.mark.parametrize("leap", [[2.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-def test_where_the_odometry_jumps_the_place_before_is_tried(leap: list[float]) -> None:
+def test_where_the_prediction_jumps_the_place_before_is_tried(leap: list[float]) -> None:
     config = ScanToMapConfig()
     match, state = matching_at(np.zeros(3), config).match(POINTS, IS_VALID, state_at(np.array(leap)))
     assert match.status == "converged"
+    assert match.contradicts_odometry
     assert max(errors(STEP, state.T_local_base)) < 5e-3
     np.testing.assert_allclose(state.cov_odometry, COV + config.lost_cov)
 
@@ -76,8 +79,98 @@ def test_another_place_is_matched_neither_from_here_nor_from_there() -> None:
     scan = take_scan(A, walls=HALL)
     match, state = matching_at(np.zeros(3)).match(scan.points_base(), scan.is_valid(), state_at(STEP))
     assert match.status == "failed"
-    assert not match.is_refused
+    assert not match.contradicts_odometry
     np.testing.assert_array_equal(state.T_local_base, STEP)
+
+
+def used_to_agreement(matching: MapMatching) -> MapMatching:
+    """After so many scans with which all returns agreed that it knows this to be usual."""
+    for _ in range(60):
+        match, _ = matching.match(POINTS, IS_VALID, state_at(STEP))
+        assert not match.contradicts_odometry
+        matching.start_scan(LASER.origin_base, np.zeros(3))
+    assert matching.is_agreed(match)
+    return matching
+
+
+CERTAIN = np.diag([0.005, 0.005, 0.002]) ** 2
+
+
+def certain_at(T_local_base: FloatArray) -> MotionState:
+    """A prediction that claims far more than it knows if it is wrong by decimetres."""
+    return replace(state_at(T_local_base), cov_prior=CERTAIN, cov_independent=CERTAIN, cov_motion=CERTAIN)
+
+
+@pytest.mark.parametrize("error", [[0.3, 0.0, 0.0], [-0.2, 0.25, 0.0], [0.1, 0.0, 0.15], [0.0, -0.12, 0.0]])
+def test_a_wrong_prediction_is_contradicted_where_most_returns_agree_elsewhere(error: list[float]) -> None:
+    matching = used_to_agreement(matching_at(np.zeros(3)))
+    start = certain_at(se2.compose(STEP, np.array(error)))
+    match, state = matching.match(POINTS, IS_VALID, start)
+    assert match.status == "converged"
+    assert max(errors(STEP, state.T_local_base)) < 5e-3
+    assert matching.is_agreed(match)
+    # the motion since the last keyframe is known no better than the contradiction leaves it
+    assert np.linalg.norm(error[:2]) < 3.0 * np.sqrt(state.cov_odometry[0, 0])
+
+
+def test_a_scan_is_matched_twice_from_the_pose_that_was_found_against_the_prediction() -> None:
+    matching = used_to_agreement(matching_at(np.zeros(3)))
+    start = certain_at(np.array([2.0, -1.0, 0.0]))
+    found = [matching.match(POINTS, IS_VALID, start, factor)[1].T_local_base for factor in (1.0, 1.0, 0.5)]
+    for T in found:
+        assert max(errors(STEP, T)) < 5e-3
+    again, _ = matching.match(POINTS, IS_VALID, start)
+    assert again.contradicts_odometry
+    # the next scan begins at its own prediction
+    matching.start_scan(LASER.origin_base, STEP)
+    match, _ = matching.match(POINTS, IS_VALID, state_at(STEP))
+    assert not match.contradicts_odometry
+
+
+COMPANY = np.array([[x, y, 0.3] for x, y in ((1.2, 0.9), (1.5, -0.9), (2.2, 0.3), (0.4, 1.4), (0.5, -1.4))])
+"""People around the robot, base frame (x, y, radius) [m]: about half of what it sees."""
+
+
+def with_company(T_world_base: FloatArray) -> Scan:
+    people = COMPANY.copy()
+    people[:, :2] = se2.transform(T_world_base, people[:, :2])
+    return take_scan(T_world_base, discs=people.tolist())
+
+
+def test_in_company_the_prediction_holds() -> None:
+    """Who walks along looks as if the robot stood still; neither pose has most of the returns on its side."""
+    local_map, first = LocalMap(LocalMapConfig()), with_company(A)
+    keyframe = make_keyframe(0, np.zeros(3), first.points_base(), first.is_valid(), LASER, local_map.config)
+    local_map.add(keyframe)
+    matching = MapMatching(ScanToMapConfig(), local_map)
+    step = np.array([0.3, 0.0, 0.0])
+    matching.start_scan(LASER.origin_base, np.zeros(3))
+    scan = with_company(se2.compose(A, step))
+    assert 0.3 < is_person(scan)[scan.is_valid()].mean() < 0.7
+    match, state = matching.match(scan.points_base(), scan.is_valid(), certain_at(step))
+    assert not match.contradicts_odometry
+    assert not matching.is_agreed(match)
+    assert max(errors(step, state.T_local_base)) < 0.01
+
+
+def test_returns_that_were_called_moving_by_a_wrong_prediction_are_matched_too() -> None:
+    matching = used_to_agreement(matching_at(np.zeros(3)))
+    few = IS_VALID & (np.arange(len(IS_VALID)) % 4 == 0)
+    start = certain_at(np.array([0.5, 0.4, 0.0]))
+    match, state = matching.match(POINTS, few, start, is_valid=IS_VALID)
+    assert match.contradicts_odometry
+    assert match.n_correspondences > 2 * np.count_nonzero(few)
+    assert matching.agreement(match) == match.inlier_ratio
+    assert max(errors(STEP, state.T_local_base)) < 5e-3
+
+
+def test_what_moves_does_not_agree() -> None:
+    matching = matching_at(np.zeros(3))
+    half = IS_VALID & (np.arange(len(IS_VALID)) % 2 == 0)
+    match, _ = matching.match(POINTS, half, state_at(STEP), is_valid=IS_VALID)
+    share = np.count_nonzero(half) / np.count_nonzero(IS_VALID)
+    assert matching.agreement(match) == pytest.approx(share * match.inlier_ratio)
+    assert not matching.is_agreed(match)
 
 
 def test_a_narrower_kernel_that_fails_is_replaced_by_the_usual_one() -> None:
@@ -93,19 +186,4 @@ def test_a_narrower_kernel_that_fails_is_replaced_by_the_usual_one() -> None:
         match, state = matching.match(POINTS, IS_VALID, state_at(STEP), 0.5)
     assert match.status == "converged"
     assert max(errors(STEP, state.T_local_base)) < 5e-3
-    assert factors == [0.5, 0.5, 1.0]  # from the prediction, from the pose before, once more
-
-
-def test_a_series_of_improbable_matches_is_refused_and_leaves_the_prediction() -> None:
-    config = ScanToMapConfig(point_to_line=replace(ScanToMapConfig().point_to_line, max_nis=1.0))
-    matching = matching_at(np.zeros(3), config)
-    start = replace(state_at(STEP + np.array([0.1, 0.0, 0.0])), cov_prior=1e-6 * np.eye(3))
-    for _ in range(10):
-        matching.start_scan(LASER.origin_base, np.zeros(3))
-        match, state = matching.match(POINTS, IS_VALID, start)
-    assert match.is_refused
-    assert match.status == "failed"
-    assert match.reason.startswith("improbable, innovation squared ")
-    assert not match.information.any()
-    np.testing.assert_array_equal(state.T_local_base, start.T_local_base)
-    np.testing.assert_array_equal(state.cov_independent, start.cov_independent)
+    assert factors == [0.5, 1.0]  # from the prediction, and once more

@@ -6,12 +6,14 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import is_covariance
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.odometry import Motion, OdometryNoise, WheelOdometry
+from slammot_graph.odometry.motion import MatchedPose
 from tests.rooms import CORRIDOR, drive, errors, kidnapped, occluded, odometry_of, truth_from_start
 
 N_LOST = 3
@@ -212,6 +214,8 @@ def test_nothing_yet_is_an_empty_trajectory(localizer: ScanToMap) -> None:
 class PreviousMotion:
     """Without wheels: the motion is that of the scan before."""
 
+    is_contradicted = False
+
     def __init__(self) -> None:
         self.T_odom_base: FloatArray = np.zeros(3)
         self._T_local_base: FloatArray | None = None
@@ -223,10 +227,13 @@ class PreviousMotion:
         self.T_odom_base = se2.compose(self.T_odom_base, self._increment)
         return Motion(increment=self._increment, cov=np.diag([0.05, 0.05, 0.05]) ** 2)
 
-    def correct(self, T_local_base: FloatArray) -> None:
+    def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         if self._T_local_base is not None:
             self._increment = se2.between(self._T_local_base, T_local_base)
         self._T_local_base = T_local_base
+
+    def report(self) -> OdometryReport:
+        return OdometryReport()
 
 
 def test_another_motion_model_takes_the_place_of_the_wheels() -> None:

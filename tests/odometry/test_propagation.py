@@ -38,7 +38,7 @@ def test_wheels_tell_the_motion_between_their_poses(seed: int) -> None:
         np.testing.assert_array_equal(motion.increment, se2.between(before, T))
         np.testing.assert_array_equal(motion.cov, OdometryNoise().covariance(motion.increment))
         np.testing.assert_array_equal(model.T_odom_base, T)
-        model.correct(np.full(3, 9.0))  # which wheels do not learn from
+        model.correct(np.full(3, 9.0), None)  # which wheels do not learn from
 
 
 @given(seeds)
