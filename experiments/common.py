@@ -58,6 +58,11 @@ class Options:
         if self.seeds is not None and self.seeds < 1:
             raise InputError(f"--seeds must be at least 1, not {self.seeds}")
 
+    @property
+    def more_words(self) -> tuple[str, ...]:
+        """Words of the command for the options that an experiment has besides these."""
+        return ()
+
     def seed_range(self, full: int, quick: int = 2) -> range:
         """Seeds to run: `full` of them, or `quick`, or as asked for."""
         return range(self.seeds or (quick if self.quick else full))

@@ -50,7 +50,7 @@ def provenance(name: str, options: Options) -> list[str]:
     words = ["python", "-m", f"experiments.{name}"]
     words += ["--quick"] if options.quick else []
     words += ["--seeds", str(options.seeds)] if options.seeds else []
-    words += ["--jobs", str(options.jobs)]
+    words += [*options.more_words, "--jobs", str(options.jobs)]
     versions = ", ".join(f"{package} {importlib.metadata.version(package)}" for package in PACKAGES)
     return [
         f"- Command: `{' '.join(words)}`",

@@ -78,6 +78,20 @@ class SimulatedLog:
                 odometry=track,
             )
 
+    def with_odometry(self, T_odom_base: FloatArray) -> "SimulatedLog":
+        """Give this log with other odometry (n, 3) at its scans, all else shared."""
+        return SimulatedLog(
+            name=str(self.path),
+            laser=self.laser,
+            stamps=self.stamps,
+            ranges=self.ranges,
+            T_odom_base=T_odom_base,
+            T_world_base=self.T_world_base,
+            is_moving=self.is_moving,
+            object_id=self.object_id,
+            objects=self.objects,
+        )
+
     def arrays(self) -> dict[str, Any]:
         """Give the keyword arguments of `write_npz_log`."""
         return {

@@ -223,7 +223,7 @@ def simulate_odometry(
     slips = np.column_stack([noise.slip_std_m * slip_size[:, 0], noise.slip_std_rad * slip_size[:, 1]])
     reported[:, [0, 2]] += noise_scale * np.where(is_slip[:, None], slips, 0.0)
 
-    odometry = _accumulate(se2.exp(reported))
+    odometry = accumulate(se2.exp(reported))
     errors = OdometryErrors(
         scale=float(scale),
         turn_scale=float(turn_scale),
@@ -242,7 +242,7 @@ def _dense(points: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(at, along, points[:, 0]), np.interp(at, along, points[:, 1])])
 
 
-def _accumulate(increments: FloatArray) -> FloatArray:
+def accumulate(increments: FloatArray) -> FloatArray:
     """Poses (n + 1, 3) from the origin along n increments."""
     theta = np.concatenate([[0.0], np.cumsum(increments[:, 2])])
     c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
