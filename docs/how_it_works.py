@@ -14,19 +14,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 STAGES = (
-    ("0  read", "a scan with its odometry, from a log or a live source",
+    ("0  read", "a scan, with its odometry if there is any, from a log or a live source",
      ("logs/registry.py", "core/scan.py", "run.py", "pipeline.py")),
-    ("1  predict", "last pose and the odometry; the covariance grows by R_r",
-     ("localization/scan_to_map.py", "odometry/propagation.py", "odometry/noise.py")),
+    ("1  predict", "last pose and calibrated odometry, or the previous motion; plus R_r",
+     ("localization/scan_to_map.py", "odometry/propagation.py", "odometry/adaptive.py", "odometry/history.py",
+      "odometry/previous_motion.py", "odometry/noise.py")),
     ("2  detect", "an ellipse on free cells only: moving; clusters",
      ("detection/ellipse_detector.py", "detection/ellipse_test.py", "detection/visibility_check.py",
       "detection/clustering.py")),
-    ("3  match", "static points onto lines, robust, from the prediction; p_moving",
-     ("localization/map_matching.py", "registration/point_to_line.py", "localization/innovation_gate.py",
-      "detection/probability.py")),
-    ("4  graph", "a node for each keyframe, smoothed by GTSAM's ISAM2",
+    ("3  match", "static points onto lines, robust, also against the prediction; p_moving",
+     ("localization/map_matching.py", "registration/point_to_line.py", "detection/probability.py")),
+    ("4  graph", "a keyframe becomes a node, smoothed by ISAM2; odometry is calibrated",
      ("localization/lost_detector.py", "localization/graph_insertion.py", "localization/keyframe_state.py",
-      "graph/local_factors.py", "graph/pose_graph.py", "mapping/local_map.py")),
+      "graph/local_factors.py", "graph/pose_graph.py", "mapping/local_map.py", "odometry/calibration.py")),
     ("5  close loops", "whenever a local map is finished; the scan is attached to its node",
      ("loop_closure/submap.py", "loop_closure/detector.py", "loop_closure/verification.py",
       "loop_closure/relocalization.py", "localization/scan_poses.py")),
@@ -34,8 +34,9 @@ STAGES = (
      ("mapping/occupancy_grid.py",)),
     ("7  objects", "clusters of moving points become tracks",
      ("tracking/tracker.py", "detection/scan_history.py")),
-    ("8  report", "to the observers; after the last scan the backward pass",
-     ("core/results.py", "observer.py", "detection/backward_pass.py", "run_folder/writer.py")),
+    ("8  report", "to the observers; after the last scan the backward pass and the verdict",
+     ("localization/health.py", "core/results.py", "observer.py", "detection/backward_pass.py", "diagnosis/verdict.py",
+      "run_folder/writer.py")),
 )  # fmt: skip
 """Name, what it does, files within the package in the order in which a scan meets them: none is named twice."""
 

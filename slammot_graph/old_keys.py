@@ -57,6 +57,17 @@ MOVED = {
 }
 """New path of each old key; the longest one that a key begins with counts."""
 
+DROPPED = (
+    "localizer.max_counted_nis",
+    "localizer.nis_gain",
+    "localizer.jump_inlier_ratio",
+    "localizer.jump_nis",
+    "localizer.jump_inlier_gain",
+    "localizer.point_to_line.max_nis",
+    "localizer.closure.point_to_line.max_nis",
+)
+"""Paths that were of release 0.1 or lay beside its keys: matches are no longer refused for their innovation."""
+
 _LOCALIZERS = {"none": DeadReckoningConfig, "scan-to-scan": ScanToScanConfig, "scan-to-map": ScanToMapConfig}
 
 _CONVERTED: dict[str, Callable[[Any], Any]] = {
@@ -82,7 +93,7 @@ _SWITCHES = {
 
 
 def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: str) -> Mapping[str, Any]:
-    """Move values from old keys to new ones, and say so in a warning.
+    """Move values from old keys to new ones, leave out those that are no longer used, and say so in a warning.
 
     Parameters
     ----------
@@ -96,18 +107,30 @@ def with_new_keys(values: Mapping[str, Any], default: "PipelineConfig", source: 
     Warns
     -----
     DeprecationWarning
-        With the new place of each old key.
+        With the new place of each old key, and with the keys that are no longer used.
     """
     if not any(key in MOVED for key in values):
-        return values
+        kept = _copied(values)
+        dropped = _drop(kept)
+        if not dropped:
+            return values
+        warnings.warn(
+            f"{source}: these keys are no longer used, the next release will not know them: {', '.join(dropped)}",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return kept
     old = dict(_leaves(values))
     parts = _Parts.of(old, default)
     new, told = _moved(old, parts)
+    dropped = _drop(new)
     for path, switch in _SWITCHES.items():
         if switch not in old and _at(default, path) is None:
             _remove(new, path)
     _fit(new, parts)
     text = ", ".join(f"{key} -> {path}" for key, path in told.items())
+    if dropped:
+        text += f"; no longer used: {', '.join(dropped)}"
     warnings.warn(
         f"{source}: these keys have moved, the next release will not know them: {text}",
         DeprecationWarning,
@@ -174,6 +197,29 @@ def _fit(new: dict[str, Any], parts: _Parts) -> None:
         _put(new, "detector.local_grid", "none")
     elif not parts.has_local_grid_by_default:
         _put(new, "detector.local_grid", {})
+
+
+def _copied(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Copy nested tables."""
+    return {key: _copied(value) if isinstance(value, Mapping) else value for key, value in values.items()}
+
+
+def _drop(tree: dict[str, Any]) -> list[str]:
+    """Remove what is no longer used, and tables that are empty without it; gives its paths."""
+    found = list[str]()
+    for path in DROPPED:
+        parents, last = path.split(".")[:-1], path.split(".")[-1]
+        tables: list[Any] = [tree]
+        for name in parents:
+            tables.append(tables[-1].get(name) if isinstance(tables[-1], dict) else None)
+        if not isinstance(tables[-1], dict) or last not in tables[-1]:
+            continue
+        del tables[-1][last]
+        found.append(path)
+        for table, name in zip(tables[-2::-1], reversed(parents), strict=True):
+            if not table[name]:
+                del table[name]
+    return found
 
 
 def _leaves(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:

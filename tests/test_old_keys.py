@@ -13,6 +13,7 @@ from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.localization.config import ScanToMapConfig, ScanToScanConfig
 from slammot_graph.methods import METHODS
 from slammot_graph.odometry.noise import ConstantNoise
+from slammot_graph.old_keys import DROPPED
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
@@ -138,3 +139,46 @@ def test_todays_files_are_read_without_a_warning(tmp_path: Path, name: str) -> N
     for method in METHODS.values():
         if isinstance(method.config, PipelineConfig):
             assert load_config(path, method.config) == METHODS[name].config
+
+
+DROPPED_KEYS = """
+localizer.nis_gain = 0.2
+localizer.max_counted_nis = 40.0
+localizer.jump_nis = 30.0
+localizer.jump_inlier_ratio = 0.5
+localizer.jump_inlier_gain = 0.1
+localizer.point_to_line.max_nis = 9.0
+localizer.closure.point_to_line.max_nis = 9.0
+"""
+
+
+@pytest.mark.parametrize("method", ["graph", "docpfo", "odometry"])
+def test_keys_that_are_no_longer_used_are_left_out(tmp_path: Path, method: str) -> None:
+    path = tmp_path / "old.toml"
+    path.write_text(DROPPED_KEYS)
+    with pytest.warns(DeprecationWarning) as told:
+        config = load_config(path, METHODS[method].config)
+    assert config == METHODS[method].config
+    assert len(told) == 1
+    text = str(told[0].message)
+    assert text.startswith(f"{path}: these keys are no longer used, the next release will not know them: ")
+    assert all(name in text for name in DROPPED)
+
+
+def test_other_keys_beside_those_that_are_no_longer_used_count(tmp_path: Path) -> None:
+    path = tmp_path / "old.toml"
+    path.write_text(DROPPED_KEYS + "localizer.n_lost = 7\nlocalizer.point_to_line.min_pairs = 20")
+    with pytest.warns(DeprecationWarning, match="no longer used"):
+        config = load_config(path, PipelineConfig())
+    expected = ScanToMapConfig(n_lost=7)
+    point_to_line = replace(expected.point_to_line, min_pairs=20)
+    assert config == PipelineConfig(localizer=replace(expected, point_to_line=point_to_line))
+
+
+def test_the_warning_tells_moved_keys_from_those_no_longer_used(tmp_path: Path) -> None:
+    path = tmp_path / "old.toml"
+    path.write_text("n_lost = 3\npoint_to_line.max_nis = 9.0")
+    with pytest.warns(DeprecationWarning) as told:
+        config = load_config(path, PipelineConfig())
+    assert config == PipelineConfig(localizer=ScanToMapConfig(n_lost=3))
+    assert str(told[0].message).endswith("; no longer used: localizer.point_to_line.max_nis")

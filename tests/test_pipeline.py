@@ -188,9 +188,9 @@ def test_moving_points_are_left_out_of_the_match_and_of_the_occupied_cells(
     assert pipeline.detector.grid is not None
     match, update = pipeline.localizer.match, pipeline.detector.grid.update
 
-    def spy_match(points: FloatArray, is_static: BoolArray) -> object:
+    def spy_match(points: FloatArray, is_static: BoolArray, *, is_valid: BoolArray) -> object:
         matched_masks.append(is_static)
-        return match(points, is_static)
+        return match(points, is_static, is_valid=is_valid)
 
     def spy_update(
         now: int, origin: FloatArray, ends: FloatArray, is_beam: BoolArray, is_hit: BoolArray, *others: Any
@@ -317,8 +317,9 @@ def test_a_jump_of_the_odometry_is_survived() -> None:
 def test_after_failures_in_a_row_a_new_local_map_begins() -> None:
     pipeline, steps = run(kidnapped(drive(40), 25), PipelineConfig(localizer=ScanToMapConfig(n_lost=3)))
     told = {step.scan.index: step.events for step in steps if step.events}
-    assert [len(events) for events in told.values()] == [1, 1, 2]
-    last = max(told)
+    assert [len(events) for events in told.values()] == [1, 1, 2, 1]
+    last = min(told) + 2
+    assert told[max(told)][0].kind == "recovered"
     assert min(told) == 25
     assert told[last][1].text == "lost: 3 matches failed in a row, a new local map begins here"
     assert steps[last].node is not None

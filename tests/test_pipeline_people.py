@@ -14,11 +14,12 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import reasons
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig, LocalGridConfig, RetestConfig
 from slammot_graph.detection.ellipse_test import EllipseTestConfig
+from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.mapping.occupancy_grid import NoReturnConfig
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import simulate
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
-from tests.rooms import LASER, box, drive, errors, odometry_of, take_scan, truth_from_start
+from tests.rooms import LASER, box, drive, errors, is_person, odometry_of, take_scan, truth_from_start
 
 # a yard: behind y = 2 there are walls on the left only, on the right nothing within the laser's range
 YARD = np.vstack([[[-6, 4, 0, 4], [-6, -4, -6, 4], [-6, -4, 6, -4], [6, -4, 6, 0]], box(-4, -3, -3, -2)])
@@ -94,7 +95,7 @@ def test_open_space_that_returned_nothing_counts_as_free() -> None:
 
 
 def test_a_doubtful_pose_calls_nothing_moving() -> None:
-    """The odometry jumps by 0.12 m, and the match says so: beyond the innovation's covariance."""
+    """The odometry jumps by 0.12 m, beyond the innovation's covariance, which nothing stretches."""
     log, jump = drive(50), np.array([0.12, 0.0, 0.0])
     before = odometry_of(log.scans[32])
     T_after_before = se2.compose(before, se2.compose(jump, se2.inverse(before)))
@@ -103,7 +104,10 @@ def test_a_doubtful_pose_calls_nothing_moving() -> None:
     ]
     found = {}
     for nis in (15.0, 1e9):
-        config = PipelineConfig(detector=EllipseDetectorConfig(retest=RetestConfig(abstain_nis=nis)))
+        config = PipelineConfig(
+            detector=EllipseDetectorConfig(retest=RetestConfig(abstain_nis=nis)),
+            localizer=ScanToMapConfig(min_tail_nis=1e9),
+        )
         pipeline = Pipeline(config)
         found[nis] = [pipeline.step(scan) for scan in log]
         assert max(errors(truth_from_start(log), pipeline.final().T_map_base)) < 0.03
@@ -115,6 +119,23 @@ def test_a_doubtful_pose_calls_nothing_moving() -> None:
     assert all(step.innovation_nis < 15.0 for step in careful[1:32] + careful[33:])
     for step in [*careful[25:32], *careful[33:38]]:
         assert step.is_moving.sum() > 5
+
+
+def test_where_the_covariance_is_stretched_instead_who_moves_is_found() -> None:
+    """The same jump of 0.12 m, contradicted by most of the returns: the pose is in no doubt."""
+    log, jump = drive(50), np.array([0.12, 0.0, 0.0])
+    log.scans[32:] = [
+        replace(scan, T_odom_base=se2.compose(odometry_of(scan), jump)) for scan in log.scans[32:]
+    ]
+    pipeline = Pipeline(PipelineConfig())
+    steps = [pipeline.step(scan) for scan in log]
+    assert max(errors(truth_from_start(log), pipeline.final().T_map_base)) < 0.03
+    pipeline.close()
+    assert steps[32].innovation_nis < 15.0
+    for step in steps[30:38]:
+        found, person = step.is_moving & step.is_valid, is_person(step.scan) & step.is_valid
+        assert (found & person).sum() > 0.5 * person.sum()
+        assert (found & ~person).sum() < 5
 
 
 def test_a_failed_match_calls_nothing_moving() -> None:
