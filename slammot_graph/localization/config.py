@@ -62,7 +62,8 @@ class ScanToMapConfig(Checked):
     turn_reach, turn_step_rad : float
         Starts are turned in these steps up to so many standard deviations of the predicted heading.
     usual_to_calibrate : float
-        The odometry is calibrated with matches that `min_agreement` of the returns agree with, or this times the usual share.
+        The odometry is calibrated with matches that `min_agreement` of the returns agree with, or this times the usual
+        share.
     min_agreement : float
         Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
         that moves disagree.

@@ -53,6 +53,11 @@ class PreviousMotion:
         self._least_var = _squares(config.least_std_m_per_s, config.least_std_rad_per_s)
         self._n_missed = 0
 
+    @property
+    def std(self) -> FloatArray:
+        """(3,) standard deviation of the velocity's change from scan to scan."""
+        return np.asarray(np.sqrt(self.var))
+
     def increment(self, step_s: float) -> FloatArray:
         """(3,) motion over the next `step_s`."""
         return min(step_s, MAX_STEP_S) * self.velocity

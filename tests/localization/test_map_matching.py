@@ -1,4 +1,3 @@
-from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -98,7 +97,7 @@ CERTAIN = np.diag([0.005, 0.005, 0.002]) ** 2
 
 def certain_at(T_local_base: FloatArray) -> MotionState:
     """A prediction that claims far more than it knows if it is wrong by decimetres."""
-    return replace(state_at(T_local_base), cov_prior=CERTAIN, cov_independent=CERTAIN, cov_motion=CERTAIN)
+    return state_at(T_local_base)._replace(cov_prior=CERTAIN, cov_independent=CERTAIN, cov_motion=CERTAIN)
 
 
 @pytest.mark.parametrize("error", [[0.3, 0.0, 0.0], [-0.2, 0.25, 0.0], [0.1, 0.0, 0.15], [0.0, -0.12, 0.0]])

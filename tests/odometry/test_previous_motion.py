@@ -17,7 +17,7 @@ def test_nothing_is_known_at_first() -> None:
 
 def test_the_robot_goes_on_as_it_went_in_proportion_to_the_time() -> None:
     previous, increment = PreviousMotion(PreviousMotionConfig()), np.array([0.05, 0.01, -0.02])
-    previous.learn(increment, STD, STEP_S)
+    previous.learn(increment, np.diag(STD**2), STEP_S)
     np.testing.assert_allclose(previous.motion(STEP_S).increment, increment)
     np.testing.assert_allclose(previous.motion(3.0 * STEP_S).increment, 3.0 * increment)
     np.testing.assert_allclose(previous.motion(60.0).increment, MAX_STEP_S / STEP_S * increment)
@@ -29,7 +29,7 @@ def test_how_far_velocities_change_is_learnt(change_std: float) -> None:
     velocity, stds = np.zeros(3), list[np.ndarray]()
     for _ in range(600):
         velocity = velocity + rng.normal(0.0, change_std, 3)
-        previous.learn(STEP_S * velocity, np.zeros(3), STEP_S)
+        previous.learn(STEP_S * velocity, np.zeros((3, 3)), STEP_S)
         stds.append(previous.std)
     np.testing.assert_allclose(np.mean(stds[200:], axis=0), change_std, rtol=0.1)
 
@@ -39,7 +39,7 @@ def test_the_error_of_the_matches_is_not_taken_for_change() -> None:
     previous, std, stds = PreviousMotion(config), np.array([0.01, 0.01, 0.01]), list[np.ndarray]()
     for _ in range(600):
         # an increment is between two matches, and a change between two increments
-        previous.learn(rng.normal(0.0, std / np.sqrt(2.0)), std, STEP_S)
+        previous.learn(rng.normal(0.0, std / np.sqrt(2.0)), np.diag(std**2), STEP_S)
         stds.append(previous.std)
     assert (np.mean(stds[200:], axis=0) < 0.5 * std / STEP_S).all()
     assert (np.array(stds) >= config.least_std_m_per_s).all()
@@ -49,15 +49,15 @@ def test_one_wrong_match_counts_for_little() -> None:
     previous, change = PreviousMotion(PreviousMotionConfig()), np.array([0.0, 0.0, 0.0])
     for k in range(200):
         change[0] = 0.01 * (-1) ** k
-        previous.learn(change, STD, STEP_S)
+        previous.learn(change, np.diag(STD**2), STEP_S)
     usual = previous.std[0]
-    previous.learn(np.array([5.0, 0.0, 0.0]), STD, STEP_S)
+    previous.learn(np.array([5.0, 0.0, 0.0]), np.diag(STD**2), STEP_S)
     assert previous.std[0] < 1.5 * usual
 
 
 def test_scans_without_a_match_make_it_less_certain_until_the_next_one() -> None:
     previous = PreviousMotion(PreviousMotionConfig())
-    previous.learn(np.array([0.05, 0.0, 0.0]), STD, STEP_S)
+    previous.learn(np.array([0.05, 0.0, 0.0]), np.diag(STD**2), STEP_S)
     before = previous.motion(STEP_S)
     for n in (1, 2, 3):
         previous.miss()
@@ -65,7 +65,9 @@ def test_scans_without_a_match_make_it_less_certain_until_the_next_one() -> None
         np.testing.assert_array_equal(after.increment, before.increment)
         np.testing.assert_allclose(after.cov, (1 + n) ** 2 * before.cov)
     std = previous.std
-    previous.learn(np.array([0.3, 0.0, 0.0]), STD, STEP_S)  # a change over several scans tells nothing of one
+    previous.learn(
+        np.array([0.3, 0.0, 0.0]), np.diag(STD**2), STEP_S
+    )  # a change over several scans tells nothing of one
     np.testing.assert_array_equal(previous.std, std)
     np.testing.assert_allclose(previous.motion(STEP_S).cov, before.cov)
 

@@ -57,8 +57,8 @@ def test_each_covariance_is_compounded_and_the_correlated_one_stays(seed: int) -
     poses = path(seed)
     propagation = propagation_along(poses[:-1])
     correlated = np.diag([1e-4, 2e-4, 3e-5])
-    before = replace(
-        propagation.state, cov_independent=np.eye(3), cov_prior=2.0 * np.eye(3), cov_correlated=correlated
+    before = propagation.state._replace(
+        cov_independent=np.eye(3), cov_prior=2.0 * np.eye(3), cov_correlated=correlated
     )
     propagation.state = before
     propagation.predict(replace(SCAN, T_odom_base=poses[-1]))
@@ -75,8 +75,8 @@ def test_another_match_of_a_scan_starts_at_the_prediction() -> None:
     propagation = propagation_along(path(1))
     predicted = propagation.predicted
     assert propagation.state is predicted
-    propagation.state = replace(
-        predicted, T_local_base=np.ones(3), cov_prior=np.eye(3), cov_correlated=5.0 * np.eye(3)
+    propagation.state = predicted._replace(
+        T_local_base=np.ones(3), cov_prior=np.eye(3), cov_correlated=5.0 * np.eye(3)
     )
     again = propagation.restart()
     assert again is propagation.state
