@@ -40,7 +40,8 @@ class AdaptiveOdometryConfig(Checked):
     error_cap_m : float
         A single error counts for no more than this.
     hysteresis : float
-        The other prediction is used once its mean squared error is smaller by this factor.
+        The previous motion is used once its mean squared error is smaller by this factor, and the odometry again once
+        that of the odometry is smaller by the root of it.
     min_excess, max_excess : float
         The odometry is left only while its squared errors exceed what its noise explains by this factor in the mean,
         where a single one counts for no more than the second.
@@ -219,7 +220,7 @@ class AdaptiveOdometry:
             is_agreed = record.agreement > config.min_agreement_to_leave
             if is_agreed and own > config.hysteresis * other and excess > config.min_excess:
                 self.source = "previous motion"
-        elif other > config.hysteresis * own:
+        elif other > math.sqrt(config.hysteresis) * own:
             self.source = "odometry"
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:

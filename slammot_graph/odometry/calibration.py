@@ -52,7 +52,7 @@ class CalibrationConfig(Checked):
     max_noise_window : int
         ... but no more than so many.
     min_distance_m, min_turn_rad : float
-        A window in which the odometry tells of less distance, or turn, tells nothing of that scale.
+        A window in which the matches tell of less distance, or turn, tells nothing of that scale.
     scale_std : float
         Prior standard deviation of both scales about 1, and of the direction [rad].
     bias_std_rad_per_m : float
@@ -72,8 +72,8 @@ class CalibrationConfig(Checked):
     min_gain: Positive = 12.0
     window_m: Positive = 0.4
     max_window: Count = 8
-    noise_window_m: Positive = 4.0
-    max_noise_window: Count = 80
+    noise_window_m: Positive = 2.0
+    max_noise_window: Count = 40
     min_distance_m: Positive = 0.05
     min_turn_rad: Positive = 0.08
     scale_std: Positive = 0.5
@@ -248,8 +248,8 @@ class SelfCalibration:
     def _fit_scales(self, windows: "_Windows") -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
         """Heading scale and bias, distance scale, and direction.
 
-        Only windows with clearly more motion than the odometry's noise tell of a scale: fitted to the noise of a still
-        heading, a scale would go to zero. What too few windows excite keeps its prior.
+        Only windows with clearly more motion than noise tell of a scale: fitted to the noise of a still heading, a
+        scale would go to zero. What too few windows excite keeps its prior.
         """
         return self._fit_heading(windows), *self._fit_distance(windows)
 
@@ -257,7 +257,7 @@ class SelfCalibration:
         turn, found, std = windows.told[:, 2], windows.found[:, 2], windows.std[:, 1]
         d = np.hypot(windows.told[:, 0], windows.told[:, 1])
         prior = self._heading_prior()
-        is_turning = np.abs(turn) > self.config.min_turn_rad
+        is_turning = np.abs(found) > self.config.min_turn_rad
         if np.count_nonzero(is_turning) < MIN_WINDOWS:
             prior = prior[0], np.array([1e-4, prior[1][1]])
             is_turning = np.ones(len(turn), dtype=np.bool_)
@@ -269,7 +269,7 @@ class SelfCalibration:
         return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
 
     def _fit_distance(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
-        is_moving = np.hypot(windows.told[:, 0], windows.told[:, 1]) > self.config.min_distance_m
+        is_moving = np.hypot(windows.found[:, 0], windows.found[:, 1]) > self.config.min_distance_m
         if np.count_nonzero(is_moving) < MIN_WINDOWS:
             return Estimated(value=1.0), Estimated(value=0.0)
         u, z, std = windows.told[is_moving], windows.found[is_moving], windows.std[is_moving, 0]
