@@ -52,7 +52,10 @@ class ScanToMapConfig(Checked):
         From this normalised innovation squared on its scale is looked for, and from this scale on the match is
         repeated ...
     tail_gain : float
-        ... and taken where so many more of the returns agree, or `min_agreement` of them.
+        ... and taken where so many more of the returns agree, or `min_agreement` of them ...
+    min_tail_share, tail_lever_m : float
+        ... provided that this share of the agreeing returns tells of the direction of the innovation, a turn counted
+        as its arc at the lever: one person ahead is less.
     usual_share : float
         A match with which a smaller share of the returns agrees than this times the usual one is doubtful ...
     usual_gain : float
@@ -81,6 +84,8 @@ class ScanToMapConfig(Checked):
     min_tail_nis: NotNegative = 6.0
     min_tail_scale: AtLeastOne = 1.5
     tail_gain: Share = 0.05
+    min_tail_share: Share = 0.1
+    tail_lever_m: Positive = 3.0
     usual_share: Share = 0.75
     usual_gain: PositiveShare = 0.05
     agreement_gain: Share = 0.05

@@ -111,6 +111,19 @@ class MapMatching:
         """Share of the scan's returns that agree with a match; those called moving do not."""
         return self._static_share * match.inlier_ratio
 
+    def is_supported(self, match: MatchResult) -> bool:
+        """Tell whether enough returns tell of the direction in which a match differs from its prediction.
+
+        Down a bare corridor all but a few agree with any pose along it, and those may be on a person who walks ahead.
+        """
+        if match.status == "failed" or match.nis < self.config.min_tail_nis:
+            return True
+        arms = match.innovation * (1.0, 1.0, self.config.tail_lever_m)
+        whole = match.n_correspondences * match.inlier_ratio * float(arms @ arms)
+        told = float(match.innovation @ match.hessian_information @ match.innovation)
+        told *= self.config.point_to_line.residual_std_m**2
+        return told >= self.config.min_tail_share * whole
+
     def _against_prediction(
         self,
         points_base: FloatArray,
@@ -127,7 +140,7 @@ class MapMatching:
             self._elsewhere, self._static_share = elsewhere, 1.0
             return self._match_from(points_base, is_valid, elsewhere), elsewhere
         scale = self._tail_scale(matched[0], start)
-        if scale > self.config.min_tail_scale:
+        if scale > self.config.min_tail_scale and self.is_supported(matched[0]):
             loosened = start.loosened((scale - 1.0) * start.cov_motion)
             second = self._match_from(points_base, is_static, loosened)
             needed = min(self.config.min_agreement, self.agreement(matched[0]) + self.config.tail_gain)

@@ -174,7 +174,11 @@ class ScanToMap:
             cov=match.cov,
             cov_independent=match.cov - match.cov_correlated,
             agreement=self.matching.agreement(match),
-            is_reliable=match.status == "converged" and self.matching.is_usual(match),
+            is_reliable=(
+                match.status == "converged"
+                and self.matching.is_usual(match)
+                and self.matching.is_supported(match)
+            ),
         )
 
     def _look_for_loss(self, scan: Scan, has_points: bool) -> list[Event]:

@@ -10,10 +10,10 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
-from slammot_graph.odometry import MotionState
+from slammot_graph.odometry import MotionState, OdometryNoise
 from slammot_graph.registration.base import Match
 from tests.localization.matches import FAILED
-from tests.rooms import HALL, LASER, errors, is_person, take_scan
+from tests.rooms import CORRIDOR, HALL, LASER, errors, is_person, take_scan
 
 A = np.array([2.0, 0.0, 1.5])
 STEP = np.array([0.1, 0.02, 0.03])
@@ -150,6 +150,35 @@ def test_in_company_the_prediction_holds() -> None:
     assert not match.contradicts_odometry
     assert not matching.is_agreed(match)
     assert max(errors(step, state.T_local_base)) < 0.01
+
+
+def test_one_person_who_leads_the_robot_down_a_corridor_contradicts_nothing() -> None:
+    """Nearly all returns agree with any pose along it; who walks ahead alone would hold the robot where it was."""
+    local_map, T = LocalMap(LocalMapConfig()), np.array([0.0, 0.1, 0.0])
+
+    def led(x_m: float) -> Scan:
+        return take_scan(T + np.array([x_m, 0.0, 0.0]), walls=CORRIDOR, discs=[[x_m + 1.5, 0.1, 0.25]])
+
+    first, step = led(0.0), np.array([0.1, 0.0, 0.0])
+    keyframe = make_keyframe(
+        0, np.zeros(3), first.points_base(), first.is_valid(4.5), LASER, local_map.config
+    )
+    local_map.add(keyframe)
+    cov = OdometryNoise().covariance(step)
+    start = replace(state_at(step), cov_prior=cov, cov_independent=cov, cov_motion=cov)
+    matching = MapMatching(ScanToMapConfig(), local_map)
+    matching.start_scan(LASER.origin_base, np.zeros(3))
+    scan = led(0.1)
+    match, state = matching.match(scan.points_base(), scan.is_valid(4.5), start)
+    assert matching.is_agreed(match)
+    assert not matching.is_supported(match)
+    assert max(errors(step, state.T_local_base)) < 0.04
+    # with any support at all it would be carried along
+    config = ScanToMapConfig(min_tail_share=0.0)
+    without = MapMatching(config, local_map)
+    without.start_scan(LASER.origin_base, np.zeros(3))
+    _, carried = without.match(scan.points_base(), scan.is_valid(4.5), start)
+    assert errors(np.zeros(3), carried.T_local_base)[0] < 0.03
 
 
 def test_returns_that_were_called_moving_by_a_wrong_prediction_are_matched_too() -> None:
