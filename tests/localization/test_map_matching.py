@@ -165,7 +165,7 @@ def test_one_person_who_leads_the_robot_down_a_corridor_contradicts_nothing() ->
     )
     local_map.add(keyframe)
     cov = OdometryNoise().covariance(step)
-    start = replace(state_at(step), cov_prior=cov, cov_independent=cov, cov_motion=cov)
+    start = state_at(step)._replace(cov_prior=cov, cov_independent=cov, cov_motion=cov)
     matching = MapMatching(ScanToMapConfig(), local_map)
     matching.start_scan(LASER.origin_base, np.zeros(3))
     scan = led(0.1)
