@@ -64,9 +64,6 @@ class ScanToMapConfig(Checked):
         ... and one from another start is believed where so many more agree.
     turn_reach, turn_step_rad : float
         Starts are turned in these steps up to so many standard deviations of the predicted heading.
-    usual_to_calibrate : float
-        The odometry is calibrated with matches that `min_agreement` of the returns agree with, or this times the usual
-        share.
     min_agreement : float
         Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
         that moves disagree.
@@ -91,7 +88,6 @@ class ScanToMapConfig(Checked):
     agreement_gain: Share = 0.05
     turn_reach: Positive = 2.5
     turn_step_rad: Positive = 0.3
-    usual_to_calibrate: Share = 0.9
     min_agreement: Share = 0.75
     close_loops: bool = True
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)

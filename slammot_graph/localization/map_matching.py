@@ -102,11 +102,6 @@ class MapMatching:
         """Tell whether most of the latest scan's returns agree with its match."""
         return self.agreement(match) >= self.config.min_agreement
 
-    def is_usual(self, match: MatchResult) -> bool:
-        """Tell whether as many of the returns agree with the latest match as mostly, if not most of them."""
-        usual = self.config.usual_to_calibrate * self._usual_agreement
-        return self.agreement(match) >= min(self.config.min_agreement, usual)
-
     def agreement(self, match: MatchResult) -> float:
         """Share of the scan's returns that agree with a match; those called moving do not."""
         return self._static_share * match.inlier_ratio

@@ -176,7 +176,7 @@ class ScanToMap:
             agreement=self.matching.agreement(match),
             is_reliable=(
                 match.status == "converged"
-                and self.matching.is_usual(match)
+                and self.matching.is_agreed(match)
                 and self.matching.is_supported(match)
             ),
         )

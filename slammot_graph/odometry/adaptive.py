@@ -40,8 +40,7 @@ class AdaptiveOdometryConfig(Checked):
     error_cap_m : float
         A single error counts for no more than this.
     hysteresis : float
-        The previous motion is used once its mean squared error is smaller by this factor, and the odometry again once
-        that of the odometry is smaller by the root of it.
+        The other prediction is used once its mean squared error is smaller by this factor.
     min_excess, max_excess : float
         The odometry is left only while its squared errors exceed what its noise explains by this factor in the mean,
         where a single one counts for no more than the second.
@@ -61,8 +60,8 @@ class AdaptiveOdometryConfig(Checked):
     error_gain: PositiveShare = 0.1
     error_lever_m: Positive = 2.0
     error_cap_m: Positive = 0.5
-    hysteresis: AtLeastOne = 4.0
-    min_excess: Positive = 10.0
+    hysteresis: AtLeastOne = 2.0
+    min_excess: Positive = 3.0
     max_excess: Positive = 30.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
@@ -93,7 +92,6 @@ class AdaptiveOdometry:
         self.T_odom_base: FloatArray = se2.IDENTITY
         self._scan_before: Scan | None = None
         self._scan_s = 0.0
-        self._told_pose: tuple[float, FloatArray] | None = None
         self._history = OdometryHistory()
         self._record = _Record()
         self._T_local_before: FloatArray | None = None
@@ -167,13 +165,10 @@ class AdaptiveOdometry:
         """The odometry's motion between two times, both shifted by the clock offset; corrected, with its covariance."""
         now = self.calibration.now
         offset_s = now.clock_offset_s.value
-        known = self._told_pose
-        start = known[1] if known is not None and known[0] == start_s + offset_s else None
-        start = self._history.pose_at(start_s + offset_s) if start is None else start
-        end = self._history.pose_at(end_s + offset_s)
-        self._told_pose = (end_s + offset_s, end) if self._history.has_track or offset_s <= 0.0 else None
         increment = np.empty(3)
-        relative(start, end, increment)
+        relative(
+            self._history.pose_at(start_s + offset_s), self._history.pose_at(end_s + offset_s), increment
+        )
         increment = now.corrected(increment)
         cov = self.noise.covariance(increment)
         config = self.config
@@ -220,7 +215,7 @@ class AdaptiveOdometry:
             is_agreed = record.agreement > config.min_agreement_to_leave
             if is_agreed and own > config.hysteresis * other and excess > config.min_excess:
                 self.source = "previous motion"
-        elif other > math.sqrt(config.hysteresis) * own:
+        elif other > config.hysteresis * own:
             self.source = "odometry"
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:

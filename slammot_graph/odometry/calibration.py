@@ -14,12 +14,13 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive
 from slammot_graph.core.odometry_report import Estimated
-from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.odometry.robust_fit import noise_scale_of, robust_fit, stds_of
+from slammot_graph.odometry.windows import Windows, smoothed_rows, told_increments, usual_step
 
-MIN_WINDOWS = 6
+MIN_WINDOWS = 8
 """Scales are not fitted to fewer."""
 
 
@@ -46,13 +47,8 @@ class CalibrationConfig(Checked):
         Increments are joined until they are about this long, so that scales stand out of the noise ...
     max_window : int
         ... but no more than so many.
-    noise_window_m : float
-        The noise is told by increments joined to this length: over a shorter one, errors that do not average out along
-        the path, as of the scales, hide behind the matches' own ...
-    max_noise_window : int
-        ... but no more than so many.
-    min_distance_m, min_turn_rad : float
-        A window in which the matches tell of less distance, or turn, tells nothing of that scale.
+    min_turn_rad : float
+        A window in which the matches tell of less turn tells nothing of the heading's scale.
     scale_std : float
         Prior standard deviation of both scales about 1, and of the direction [rad].
     bias_std_rad_per_m : float
@@ -72,9 +68,6 @@ class CalibrationConfig(Checked):
     min_gain: Positive = 12.0
     window_m: Positive = 0.4
     max_window: Count = 8
-    noise_window_m: Positive = 2.0
-    max_noise_window: Count = 40
-    min_distance_m: Positive = 0.05
     min_turn_rad: Positive = 0.08
     scale_std: Positive = 0.5
     bias_std_rad_per_m: Positive = 0.1
@@ -170,7 +163,7 @@ class SelfCalibration:
         rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
         offset = self._fit_offset(rows, history)
         config = self.config
-        windows = _Windows(rows, offset.value, history, config, (config.window_m, config.max_window))
+        windows = Windows(rows, offset.value, history, length_m=config.window_m, max_size=config.max_window)
         if windows.n < MIN_WINDOWS:
             self.now = OdometryCalibration(clock_offset_s=offset)
             return
@@ -182,10 +175,7 @@ class SelfCalibration:
             heading_scale=heading[0],
             heading_bias_rad_per_m=heading[1],
         )
-        longer = _Windows(
-            rows, offset.value, history, config, (config.noise_window_m, config.max_noise_window)
-        )
-        noise_m, noise_rad = self._fit_noise(longer, first)
+        noise_m, noise_rad = self._fit_noise(windows, first)
         self.now = OdometryCalibration(
             clock_offset_s=offset,
             distance_scale=distance,
@@ -199,7 +189,7 @@ class SelfCalibration:
     def _fit_offset(self, rows: FloatArray, history: OdometryHistory) -> Estimated:
         """The clock offset by a grid search, refined; 0 with the curvature's standard deviation where none is clear."""
         config = self.config
-        rows = _smoothed_rows(rows)
+        rows = smoothed_rows(rows)
         if len(rows) < 20:
             return Estimated(value=0.0)
         step = config.offset_step_s
@@ -222,8 +212,8 @@ class SelfCalibration:
 
     def _offset_cost(self, rows: FloatArray, offset: float, history: OdometryHistory) -> float:
         """Negative log likelihood of the increments at a clock offset, the other parameters fitted."""
-        u = _told(rows[:, 0], rows[:, 1], float(offset), history, spread_s=_usual_step(rows))
-        std = self._stds(rows)
+        u = told_increments(rows[:, 0], rows[:, 1], float(offset), history, spread_s=usual_step(rows))
+        std = self._stds(rows[:, 5:7])
         heading = robust_fit(
             np.column_stack([u[:, 2], np.hypot(u[:, 0], u[:, 1])]),
             rows[:, 4],
@@ -235,9 +225,10 @@ class SelfCalibration:
         translation = robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
         return heading.cost + translation.cost
 
-    def _stds(self, rows: FloatArray) -> FloatArray:
+    def _stds(self, variances: FloatArray) -> FloatArray:
+        """Standard deviations (n, 2) of residuals in a fit, with a lower bound."""
         least = self.config.min_std_m**2, self.config.min_std_rad**2
-        return np.asarray(np.sqrt(rows[:, 5:7] + np.array(least)))
+        return np.asarray(np.sqrt(variances + np.array(least)))
 
     def _heading_prior(self) -> tuple[FloatArray, FloatArray]:
         return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.bias_std_rad_per_m])
@@ -245,7 +236,7 @@ class SelfCalibration:
     def _scale_prior(self) -> tuple[FloatArray, FloatArray]:
         return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.scale_std])
 
-    def _fit_scales(self, windows: "_Windows") -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
+    def _fit_scales(self, windows: Windows) -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
         """Heading scale and bias, distance scale, and direction.
 
         Only windows with clearly more motion than noise tell of a scale: fitted to the noise of a still heading, a
@@ -253,12 +244,12 @@ class SelfCalibration:
         """
         return self._fit_heading(windows), *self._fit_distance(windows)
 
-    def _fit_heading(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
-        turn, found, std = windows.told[:, 2], windows.found[:, 2], windows.std[:, 1]
+    def _fit_heading(self, windows: Windows) -> tuple[Estimated, Estimated]:
+        turn, found, std = windows.told[:, 2], windows.found[:, 2], self._stds(windows.var)[:, 1]
         d = np.hypot(windows.told[:, 0], windows.told[:, 1])
         prior = self._heading_prior()
         is_turning = np.abs(found) > self.config.min_turn_rad
-        if np.count_nonzero(is_turning) < MIN_WINDOWS:
+        if np.count_nonzero(is_turning) < 2 * MIN_WINDOWS:
             prior = prior[0], np.array([1e-4, prior[1][1]])
             is_turning = np.ones(len(turn), dtype=np.bool_)
         A = np.column_stack([turn, d])[is_turning]
@@ -268,11 +259,12 @@ class SelfCalibration:
             stds[0] = math.inf
         return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
 
-    def _fit_distance(self, windows: "_Windows") -> tuple[Estimated, Estimated]:
-        is_moving = np.hypot(windows.found[:, 0], windows.found[:, 1]) > self.config.min_distance_m
+    def _fit_distance(self, windows: Windows) -> tuple[Estimated, Estimated]:
+        told = windows.told
+        is_moving = (np.hypot(told[:, 0], told[:, 1]) > 0.03) | (np.abs(told[:, 2]) > 0.02)
         if np.count_nonzero(is_moving) < MIN_WINDOWS:
             return Estimated(value=1.0), Estimated(value=0.0)
-        u, z, std = windows.told[is_moving], windows.found[is_moving], windows.std[is_moving, 0]
+        u, z, std = windows.told[is_moving], windows.found[is_moving], self._stds(windows.var)[is_moving, 0]
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         prior = self._scale_prior()
         fit = robust_fit(rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std, 2), prior)
@@ -282,12 +274,8 @@ class SelfCalibration:
             Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=std_scale / max(scale, 0.1)),
         )
 
-    def _fit_noise(
-        self, windows: "_Windows", calibration: OdometryCalibration
-    ) -> tuple[Estimated, Estimated]:
+    def _fit_noise(self, windows: Windows, calibration: OdometryCalibration) -> tuple[Estimated, Estimated]:
         """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own."""
-        if windows.n < MIN_WINDOWS:
-            return Estimated(value=1.0), Estimated(value=1.0)
         increments = calibration.corrected(windows.steps)
         T = increments[:, 0]
         for k in range(1, increments.shape[1]):
@@ -308,100 +296,3 @@ class SelfCalibration:
         """(n, 2) variances of the noise model for increments (n, 3): per axis of the translation, and rotation."""
         covs = [self.noise.covariance(increment) for increment in increments]
         return np.array([(cov[0, 0], cov[2, 2]) for cov in covs])
-
-
-class _Windows:
-    """Increments joined so that they are long enough for scales to stand out.
-
-    Attributes
-    ----------
-    told, found : (n, 3) arrays
-        By the odometry at the corrected times, and by the matches.
-    steps : (n, k, 3) array
-        The odometry's increments from scan to scan.
-    std, var : (n, 2) arrays
-        Of the matched motion, translation per axis and rotation; `std` with a lower bound.
-    """
-
-    def __init__(
-        self,
-        rows: FloatArray,
-        offset_s: float,
-        history: OdometryHistory,
-        config: CalibrationConfig,
-        size_range: tuple[float, int],
-    ) -> None:
-        length_m, max_size = size_range
-        way = np.hypot(rows[:, 2], rows[:, 3])
-        moving = way[way > 0.3 * way.max(initial=0.0)]
-        usual = float(np.median(moving)) if moving.size else 0.0
-        self.size = size = int(np.clip(round(length_m / max(usual, 1e-3)), 1, max_size))
-        first = np.arange(0, max(len(rows) - size + 1, 0), max(size // 4, 1))
-        within = first[:, None] + np.arange(size)[None, :]
-        # the scans of a window follow each other without a gap
-        is_whole: BoolArray = np.ones(len(first), dtype=np.bool_)
-        if size > 1 and len(first):
-            is_whole = (np.abs(rows[within[:, 1:], 0] - rows[within[:, :-1], 1]) < 1e-9).all(axis=1)
-        within = within[is_whole]
-        self.n = len(within)
-        self.steps = _told(rows[within, 0], rows[within, 1], offset_s, history)
-        found = rows[within[:, 0], 2:5] if self.n else np.zeros((0, 3))
-        for k in range(1, size):
-            found = se2.compose(found, rows[within[:, k], 2:5])
-        self.found = found
-        self.told = _told(rows[within[:, 0], 0], rows[within[:, -1], 1], offset_s, history)
-        self.var = rows[within[:, -1], 5:7] if self.n else np.zeros((0, 2))
-        self.std = np.sqrt(self.var + np.array([config.min_std_m**2, config.min_std_rad**2]))
-
-
-SMOOTHING = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])
-"""Poses are means over these parts of the usual step, so that interpolation between samples smooths no offset more."""
-
-
-def _usual_step(rows: FloatArray) -> float:
-    return float(np.median(rows[:, 1] - rows[:, 0]))
-
-
-def _smoothed_rows(rows: FloatArray) -> FloatArray:
-    """Rows whose increments are those between smoothed matched poses; those with neighbours on both sides only."""
-    times, poses = rows[:, 1], rows[:, 7:10].copy()
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    offsets = SMOOTHING * _usual_step(rows)
-
-    def smoothed(at_s: FloatArray) -> FloatArray:
-        around = at_s[:, None] + offsets
-        return np.stack([np.interp(around, times, poses[:, k]).mean(axis=1) for k in range(3)], axis=-1)
-
-    is_gap = np.ones(len(rows) + 1, dtype=np.bool_)
-    is_gap[1:-1] = rows[1:, 0] - rows[:-1, 1] > 1e-9
-    out = rows.copy()
-    out[:, 2:5] = _relative(smoothed(rows[:, 0]), smoothed(rows[:, 1]))
-    is_inner = ~(is_gap[:-1] | is_gap[1:])
-    is_inner[1:] &= ~is_gap[:-2]  # the pose before reaches back one step more
-    return np.asarray(out[is_inner])
-
-
-def _relative(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(n, 3) poses `b` in the frames of `a`, angles as they are."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    return np.stack([c * dx + s * dy, -s * dx + c * dy, b[:, 2] - a[:, 2]], axis=-1)
-
-
-def _told(
-    before_s: FloatArray,
-    after_s: FloatArray,
-    offset_s: float,
-    history: OdometryHistory,
-    spread_s: float = 0.0,
-) -> FloatArray:
-    """(..., 3) increments that the odometry tells between times (...), both shifted; poses smoothed over a spread."""
-
-    def poses(at_s: FloatArray) -> FloatArray:
-        if not spread_s:
-            return history.at(at_s)
-        around = (at_s[:, None] + SMOOTHING * spread_s).ravel()
-        return np.asarray(history.at(around).reshape(len(at_s), -1, 3).mean(axis=1))
-
-    increments = _relative(poses(before_s.ravel() + offset_s), poses(after_s.ravel() + offset_s))
-    return increments.reshape(*before_s.shape, 3)

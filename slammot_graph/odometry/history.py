@@ -115,11 +115,6 @@ class OdometryHistory:
         self._poses[self._n] = x, y, theta
         self._n += 1
 
-    @property
-    def has_track(self) -> bool:
-        """Whether the odometry of the whole log is known."""
-        return self._track is not None
-
     def at(self, times_s: FloatArray) -> FloatArray:
         """(n, 3) poses at times (n,) of the clock; beyond the latest one known the latest motion goes on.
 
