@@ -106,6 +106,11 @@ class MapMatching:
         """Share of the scan's returns that agree with a match; those called moving do not."""
         return self._static_share * match.inlier_ratio
 
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether the latest scan was matched from another start than the prediction."""
+        return self._elsewhere is not None
+
     def is_supported(self, match: MatchResult) -> bool:
         """Tell whether enough returns tell of the direction in which a match differs from its prediction.
 

@@ -179,6 +179,7 @@ class ScanToMap:
                 and self.matching.is_agreed(match)
                 and self.matching.is_supported(match)
             ),
+            is_elsewhere=self.matching.is_elsewhere,
         )
 
     def _look_for_loss(self, scan: Scan, has_points: bool) -> list[Event]:

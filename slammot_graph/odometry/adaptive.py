@@ -129,6 +129,8 @@ class AdaptiveOdometry:
         record.agreement += self.config.error_gain * (agreement - record.agreement)
         if self.source == "previous motion" and record.agreement < self.config.min_agreement_to_stay:
             self.source = "odometry"
+        if match is not None and match.is_elsewhere and record.is_odometry_used:
+            self.source = "previous motion"  # nothing explains the scan where the odometry leads
         if match is None:
             self.previous.miss()
         elif self._T_local_before is not None:

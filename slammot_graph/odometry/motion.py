@@ -35,6 +35,8 @@ class MatchedPose(NamedTuple):
         Share of the scan's returns that agree with it.
     is_reliable : bool
         All directions are determined and most points agree: fit to calibrate with.
+    is_elsewhere : bool
+        It was found from another start than the prediction, and most of the returns agree with it alone.
     """
 
     T_local_base: FloatArray
@@ -42,3 +44,4 @@ class MatchedPose(NamedTuple):
     cov_independent: FloatArray
     agreement: float
     is_reliable: bool
+    is_elsewhere: bool = False
