@@ -78,11 +78,14 @@ class ScanTruth:
         The beam hit a person or another moving object.
     object_id : (n_beams,) int array or None
         Which object; -1 for none.
+    objects : (k, 4) array or None
+        True states of the objects: x, y [m], vx, vy [m/s] in the world; NaN while away.
     """
 
     T_world_base: FloatArray | None = None
     is_moving: BoolArray | None = None
     object_id: IntArray | None = None
+    objects: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,6 +16,13 @@ from slammot_graph.evaluation.consistency import (
     run_consistency,
 )
 from slammot_graph.evaluation.maps import MapScores, evaluate_map
+from slammot_graph.evaluation.objects import (
+    EstimatedTracks,
+    ObjectScores,
+    TrueObjects,
+    evaluate_objects,
+    read_objects,
+)
 from slammot_graph.evaluation.points import (
     PointScores,
     beam_speeds,
@@ -27,7 +34,13 @@ from slammot_graph.evaluation.points import (
 )
 from slammot_graph.evaluation.relations import Relations, RelationScores, evaluate_relations, read_relations
 from slammot_graph.evaluation.stats import ErrorStats, summarize
-from slammot_graph.evaluation.tracks import TrackPoints, TrackScores, evaluate_tracks
+from slammot_graph.evaluation.tracks import (
+    TrackMatches,
+    TrackPoints,
+    TrackScores,
+    evaluate_tracks,
+    match_tracks,
+)
 from slammot_graph.evaluation.trajectories import (
     AbsoluteError,
     RelativeError,
@@ -53,14 +66,18 @@ __all__ = [
     "ComparedRun",
     "Coverage",
     "ErrorStats",
+    "EstimatedTracks",
     "MapScores",
+    "ObjectScores",
     "PointScores",
     "RelationScores",
     "Relations",
     "RelativeError",
     "RunConsistency",
+    "TrackMatches",
     "TrackPoints",
     "TrackScores",
+    "TrueObjects",
     "TruePath",
     "TruthScores",
     "absolute_error",
@@ -72,16 +89,19 @@ __all__ = [
     "distance_to_wall",
     "ellipse_coverage",
     "evaluate_map",
+    "evaluate_objects",
     "evaluate_points",
     "evaluate_relations",
     "evaluate_strata",
     "evaluate_tracks",
     "evaluate_truth",
     "find_truth",
+    "match_tracks",
     "motion_strata",
     "nees",
     "path_length",
     "pose_errors",
+    "read_objects",
     "read_relations",
     "read_truth",
     "relative_error",

@@ -86,10 +86,30 @@ class TrackScores:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class TrackMatches:
+    """Which rows of the estimate follow which rows of the truth, by the CLEAR MOT rules.
+
+    Attributes
+    ----------
+    truth_rows, estimate_rows : (k,) int arrays
+        Row ``estimate_rows[i]`` of the estimate was matched to row ``truth_rows[i]`` of the truth.
+    distances_m : (k,) array
+    n_switches : int
+    """
+
+    truth_rows: IntArray
+    estimate_rows: IntArray
+    distances_m: FloatArray
+    n_switches: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Frame:
     truth: IntArray
-    """Dense identities of the objects in this frame, and of the tracks."""
+    """Dense identities of the objects in this frame, and of the tracks; their rows."""
     tracks: IntArray
+    truth_rows: IntArray
+    track_rows: IntArray
     distances: FloatArray
 
 
@@ -112,11 +132,11 @@ def evaluate_tracks(truth: TrackPoints, estimate: TrackPoints, *, max_distance_m
     InputError
         The distance is not positive.
     """
-    if not max_distance_m > 0.0:
-        raise InputError(f"the largest distance of a match must be positive, not {max_distance_m}")
+    _require_distance(max_distance_m)
     frames, n_objects, n_tracks = _by_frame(truth, estimate)
     n, n_estimates = len(truth.frames), len(estimate.frames)
-    distances, n_switches = _clear_matches(frames, n_objects, max_distance_m)
+    matches = _clear_matches(frames, n_objects, max_distance_m)
+    distances, n_switches = matches.distances_m, matches.n_switches
     n_matches = len(distances)
     n_misses, n_false = n - n_matches, n_estimates - n_matches
     hota, det_a, ass_a = _hota(frames, n_objects, n_tracks, max_distance_m) if n else (math.nan,) * 3
@@ -138,23 +158,53 @@ def evaluate_tracks(truth: TrackPoints, estimate: TrackPoints, *, max_distance_m
     )
 
 
+def match_tracks(truth: TrackPoints, estimate: TrackPoints, *, max_distance_m: float = 0.5) -> TrackMatches:
+    """Match tracks to the true positions as MOTA does; parameters as of `evaluate_tracks`.
+
+    Raises
+    ------
+    InputError
+        The distance is not positive.
+    """
+    _require_distance(max_distance_m)
+    frames, n_objects, _ = _by_frame(truth, estimate)
+    return _clear_matches(frames, n_objects, max_distance_m)
+
+
+def _require_distance(max_distance_m: float) -> None:
+    if not max_distance_m > 0.0:
+        raise InputError(f"the largest distance of a match must be positive, not {max_distance_m}")
+
+
 def _by_frame(truth: TrackPoints, estimate: TrackPoints) -> tuple[list[_Frame], int, int]:
     objects, dense_truth = np.unique(truth.ids, return_inverse=True)
     tracks, dense_tracks = np.unique(estimate.ids, return_inverse=True)
+    numbers = np.union1d(truth.frames, estimate.frames)
     frames = []
-    for frame in np.union1d(truth.frames, estimate.frames):
-        i = np.flatnonzero(truth.frames == frame)
-        j = np.flatnonzero(estimate.frames == frame)
+    for i, j in zip(_rows_of(truth.frames, numbers), _rows_of(estimate.frames, numbers), strict=True):
         distances = cdist(truth.positions[i], estimate.positions[j])
-        frames.append(_Frame(truth=dense_truth[i], tracks=dense_tracks[j], distances=distances))
+        frames.append(
+            _Frame(
+                truth=dense_truth[i],
+                tracks=dense_tracks[j],
+                truth_rows=i,
+                track_rows=j,
+                distances=distances,
+            )
+        )
     return frames, len(objects), len(tracks)
 
 
-def _clear_matches(frames: list[_Frame], n_objects: int, max_distance_m: float) -> tuple[FloatArray, int]:
-    """Distances of the matches, and the number of identity switches, of the CLEAR MOT rules."""
+def _rows_of(frames: IntArray, numbers: IntArray) -> list[IntArray]:
+    """The rows of each frame, in their order."""
+    order = np.argsort(frames, kind="stable")
+    return np.split(order, np.searchsorted(frames[order], numbers[1:])) if len(numbers) else []
+
+
+def _clear_matches(frames: list[_Frame], n_objects: int, max_distance_m: float) -> TrackMatches:
     last_track = np.full(n_objects, -1, dtype=np.int64)
     track_in_last_frame = last_track.copy()
-    matched: list[float] = []
+    matched: list[tuple[int, int, float]] = []
     n_switches = 0
     for frame in frames:
         is_kept = track_in_last_frame[frame.truth][:, None] == frame.tracks[None, :]
@@ -167,8 +217,14 @@ def _clear_matches(frames: list[_Frame], n_objects: int, max_distance_m: float) 
             one, track = frame.truth[row], frame.tracks[col]
             n_switches += int(last_track[one] >= 0 and last_track[one] != track)
             last_track[one] = track_in_last_frame[one] = track
-            matched.append(float(frame.distances[row, col]))
-    return np.array(matched), n_switches
+            matched.append((frame.truth_rows[row], frame.track_rows[col], frame.distances[row, col]))
+    rows = np.array(matched, dtype=np.float64).reshape(-1, 3)
+    return TrackMatches(
+        truth_rows=rows[:, 0].astype(np.int64),
+        estimate_rows=rows[:, 1].astype(np.int64),
+        distances_m=rows[:, 2],
+        n_switches=n_switches,
+    )
 
 
 def _similarity(frame: _Frame, max_distance_m: float) -> FloatArray:

@@ -19,7 +19,7 @@ from slammot_graph.logs.source import SkippedScan
 SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
 REQUIRED = ("stamps", "ranges", *SCALARS, "laser_pose")
 OPTIONAL = ("odometry",)
-TRUTH = ("poses", "is_moving", "object_id")
+TRUTH = ("poses", "is_moving", "object_id", "objects")
 ESTIMATES = "poses_are_estimates"
 
 
@@ -101,6 +101,7 @@ def write_npz_log(
     poses: npt.ArrayLike | None = None,
     is_moving: npt.ArrayLike | None = None,
     object_id: npt.ArrayLike | None = None,
+    objects: npt.ArrayLike | None = None,
     poses_are_estimates: bool = False,
 ) -> None:
     """Write a log that `open_log` reads back; an existing file is replaced.
@@ -125,6 +126,8 @@ def write_npz_log(
         The beam hit something that moves.
     object_id : (n, beams) int array, optional
         Which object the beam hit; -1 for none.
+    objects : (n, k, 4) array, optional
+        True states of the objects: x, y [m], vx, vy [m/s] in the world; NaN while away.
     poses_are_estimates : bool
         The `poses` are those of a run, as in an injected log: not a truth to evaluate another run against.
 
@@ -146,6 +149,7 @@ def write_npz_log(
         "poses": poses,
         "is_moving": is_moving,
         "object_id": object_id,
+        "objects": objects,
         ESTIMATES: True if poses_are_estimates else None,
     }
     arrays = _checked(path, {key: np.asarray(value) for key, value in given.items() if value is not None})
@@ -203,6 +207,7 @@ def _checked(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, np
         "poses": (n_scans, 3),
         "is_moving": (n_scans, n_beams),
         "object_id": (n_scans, n_beams),
+        "objects": (n_scans, *np.shape(converted.get("objects"))[1:2], 4),
         **dict.fromkeys((*SCALARS, ESTIMATES), ()),
     }
     for key, shape in shapes.items():
@@ -241,5 +246,8 @@ def _laser(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> LaserModel:
 
 def _scan_truth(row: Mapping[str, npt.NDArray[Any]]) -> ScanTruth:
     return ScanTruth(
-        T_world_base=row.get("poses"), is_moving=row.get("is_moving"), object_id=row.get("object_id")
+        T_world_base=row.get("poses"),
+        is_moving=row.get("is_moving"),
+        object_id=row.get("object_id"),
+        objects=row.get("objects"),
     )

@@ -74,6 +74,7 @@ class SimulatedLog:
                     T_world_base=self.T_world_base[k],
                     is_moving=self.is_moving[k],
                     object_id=self.object_id[k],
+                    objects=self.objects[k],
                 ),
                 odometry=track,
             )
@@ -106,6 +107,7 @@ class SimulatedLog:
             "poses": self.T_world_base,
             "is_moving": self.is_moving,
             "object_id": self.object_id,
+            "objects": self.objects,
         }
 
     def write(self, path: str | Path) -> None:
