@@ -13,6 +13,8 @@ from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
 from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
+from slammot_graph.tracking.segment_tracker import SegmentTrackerConfig
+from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
 if TYPE_CHECKING:
     from slammot_graph.pipeline_config import PipelineConfig
@@ -190,11 +192,15 @@ def _fit(new: dict[str, Any], parts: _Parts) -> None:
     if "localizer" in new:
         known = {"type", *(field.name for field in fields(parts.localizer))}
         new["localizer"] = {key: value for key, value in new["localizer"].items() if key in known}
+    if parts.has_graph and "tracker" in new:  # noise of clusters, and an end that knew no occlusion
+        known = {field.name for field in fields(SegmentTrackerConfig)} - {"max_missed_s"}
+        new["tracker"] = {key: value for key, value in new["tracker"].items() if key in known}
     if not parts.has_detector:
         new["detector"] = {"type": NoDetectionConfig.__name__}
         new["tracker"] = {"type": NoTrackingConfig.__name__}
     elif not parts.has_graph:
         _put(new, "detector.local_grid", "none")
+        _put(new, "tracker.type", KalmanTrackerConfig.__name__)
     elif not parts.has_local_grid_by_default:
         _put(new, "detector.local_grid", {})
 

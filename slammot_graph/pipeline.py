@@ -14,13 +14,14 @@ from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.factory import make_detector
+from slammot_graph.detection.reasons import FREE
 from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.base import track_states
+from slammot_graph.tracking.base import ScanView, track_states
 from slammot_graph.tracking.factory import make_tracker
 
 __all__ = ["Pipeline", "PipelineConfig"]
@@ -102,7 +103,7 @@ class Pipeline:
             is_lost=committed.is_lost,
         )
         watch.lap("map")
-        tracks = self._track(scan, detection, points)
+        tracks = self._track(scan, is_valid, detection, points, matched.T_local_base)
         self._remember(scan, is_valid, detection, matched, match)
         health = self.health.update(
             scan.index,
@@ -218,11 +219,30 @@ class Pipeline:
                 )
         return matched, match, detection
 
-    def _track(self, scan: Scan, detection: Detection, points: FloatArray) -> tuple[TrackState, ...]:
+    def _track(
+        self,
+        scan: Scan,
+        is_valid: BoolArray,
+        detection: Detection,
+        points: FloatArray,
+        T_local_base: FloatArray,
+    ) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
-        tracks = self.tracker.update(scan.stamp, *detection.clusters(points))
+        view = ScanView(
+            points=points,
+            packed_cov=detection.packed_cov,
+            cluster=detection.cluster,
+            is_proven=detection.reason == FREE,
+            T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
+            angle_min=scan.laser.angle_min,
+            angle_increment=scan.laser.angle_increment,
+            ranges=scan.ranges,
+            is_valid=is_valid,
+            is_no_return=scan.ranges >= self.config.range_fraction * scan.laser.range_max,
+        )
+        tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
         return track_states(tracks, self.localizer.T_map_local)
 
     def _remember(

@@ -12,6 +12,7 @@ from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConf
 from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
+from slammot_graph.tracking.segment_tracker import SegmentTrackerConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
 
@@ -23,7 +24,7 @@ class PipelineConfig(Checked):
     ----------
     localizer : DeadReckoningConfig, ScanToScanConfig (the paper's) or ScanToMapConfig (with the pose graph)
     detector : NoDetectionConfig or EllipseDetectorConfig
-    tracker : NoTrackingConfig or KalmanTrackerConfig
+    tracker : NoTrackingConfig, KalmanTrackerConfig (of clusters) or SegmentTrackerConfig (of people)
     odometry_noise : OdometryNoise or ConstantNoise
         R_r of the odometry factors and of the prediction: growing with the motion, or constant as in the paper.
     grid : GridConfig
@@ -38,7 +39,9 @@ class PipelineConfig(Checked):
         default_factory=ScanToMapConfig
     )
     detector: NoDetectionConfig | EllipseDetectorConfig = field(default_factory=EllipseDetectorConfig)
-    tracker: NoTrackingConfig | KalmanTrackerConfig = field(default_factory=KalmanTrackerConfig)
+    tracker: NoTrackingConfig | KalmanTrackerConfig | SegmentTrackerConfig = field(
+        default_factory=SegmentTrackerConfig
+    )
     odometry_noise: OdometryNoise | ConstantNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
     max_range_m: Positive = 40.0

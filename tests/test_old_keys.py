@@ -15,7 +15,7 @@ from slammot_graph.methods import METHODS
 from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.old_keys import DROPPED
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.tracker import KalmanTrackerConfig
+from slammot_graph.tracking.segment_tracker import SegmentTrackerConfig
 
 SETTINGS = Path(__file__).parent / "settings_of_0_1"
 """Whole files of two methods, as release 0.1 wrote them."""
@@ -66,7 +66,7 @@ def detector(**changes: Any) -> PipelineConfig:
     [
         ("n_lost = 7", PipelineConfig(localizer=ScanToMapConfig(n_lost=7))),
         ("close_loops = false", PipelineConfig(localizer=ScanToMapConfig(close_loops=False))),
-        ("tracks.n_confirm = 5", PipelineConfig(tracker=KalmanTrackerConfig(n_confirm=5))),
+        ("tracks.n_confirm = 5", PipelineConfig(tracker=SegmentTrackerConfig(n_confirm=5))),
         ("hindsight = false", detector(backward_pass=False)),
         ("judge_again = false", detector(retest=None)),
         ("crowd_share = 0.3", detector(retest=RetestConfig(crowd_share=0.3))),

@@ -96,7 +96,8 @@ def test_a_part_is_exchanged_by_its_type(tmp_path: Path) -> None:
         ),
         (
             'tracker.type = "Kalman"',
-            "tracker.type: expected 'NoTrackingConfig' or 'KalmanTrackerConfig', not \"Kalman\"",
+            "tracker.type: expected 'NoTrackingConfig' or 'KalmanTrackerConfig' or 'SegmentTrackerConfig',"
+            ' not "Kalman"',
         ),
     ],
 )

@@ -207,7 +207,7 @@ def _checked(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, np
         "poses": (n_scans, 3),
         "is_moving": (n_scans, n_beams),
         "object_id": (n_scans, n_beams),
-        "objects": (n_scans, *np.shape(converted.get("objects"))[1:2], 4),
+        "objects": (n_scans, *converted.get("objects", np.empty(0)).shape[1:2], 4),
         **dict.fromkeys((*SCALARS, ESTIMATES), ()),
     }
     for key, shape in shapes.items():

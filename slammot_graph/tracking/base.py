@@ -38,6 +38,39 @@ class Track:
     beams: IntArray
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanView:
+    """A scan of n beams as a tracker sees it: what was found, and where the laser looked. Frame: the tracker's.
+
+    Attributes
+    ----------
+    points : (n, 2) array [m]
+    packed_cov : (n, 3) array [m^2]
+        Covariances of the points: xx, xy, yy.
+    cluster : (n,) int array
+        Cluster of a moving beam, -1 for others.
+    is_proven : (n,) bool array
+        Beams on cells that were seen free.
+    T_local_laser : (3,) array
+    angle_min, angle_increment : float [rad]
+        Of the beams, laser frame: the field of view.
+    ranges : (n,) array [m]
+    is_valid, is_no_return : (n,) bool arrays
+        Beams that hit something, and that hit nothing within the laser's reach; of the others nothing is known.
+    """
+
+    points: FloatArray
+    packed_cov: FloatArray
+    cluster: IntArray
+    is_proven: BoolArray
+    T_local_laser: FloatArray
+    angle_min: float
+    angle_increment: float
+    ranges: FloatArray
+    is_valid: BoolArray
+    is_no_return: BoolArray
+
+
 class Tracker(Protocol):
     """Follows the clusters of moving points from scan to scan."""
 
@@ -58,6 +91,7 @@ class Tracker(Protocol):
         centre_covs: FloatArray,
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
+        view: ScanView | None = None,
     ) -> list[Track]:
         """Take in the clusters of a scan.
 
@@ -72,10 +106,12 @@ class Tracker(Protocol):
             Beams of each cluster.
         is_proven : (k,) bool array, optional
             Clusters with a beam on free cells; by default all.
+        view : ScanView, optional
+            The scan itself; where there is none, no track is known to be occluded.
 
         Returns
         -------
-        Confirmed tracks.
+        Confirmed tracks, those that are to be shown.
         """
 
 

@@ -2,11 +2,14 @@
 
 from slammot_graph.tracking.base import Tracker
 from slammot_graph.tracking.no_tracking import NoTracking, NoTrackingConfig
+from slammot_graph.tracking.segment_tracker import SegmentTracker, SegmentTrackerConfig
 from slammot_graph.tracking.tracker import KalmanTracker, KalmanTrackerConfig
 
-TrackerConfig = NoTrackingConfig | KalmanTrackerConfig
+TrackerConfig = NoTrackingConfig | KalmanTrackerConfig | SegmentTrackerConfig
 
 
 def make_tracker(config: TrackerConfig) -> Tracker:
     """Build a tracker."""
-    return NoTracking() if isinstance(config, NoTrackingConfig) else KalmanTracker(config)
+    if isinstance(config, NoTrackingConfig):
+        return NoTracking()
+    return SegmentTracker(config) if isinstance(config, SegmentTrackerConfig) else KalmanTracker(config)

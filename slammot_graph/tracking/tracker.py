@@ -9,7 +9,7 @@ import numpy as np
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
-from slammot_graph.tracking.base import Track
+from slammot_graph.tracking.base import ScanView, Track
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +74,7 @@ class KalmanTracker:
         centre_covs: FloatArray,
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
+        view: ScanView | None = None,
     ) -> list[Track]:
         """Predict to `stamp_s`, join clusters to tracks, begin and end tracks.
 
@@ -90,6 +91,8 @@ class KalmanTracker:
         is_proven : (k,) bool array, optional
             Clusters with a beam on free cells; the others follow from their track alone, do not begin one, and do
             not keep one alive. By default all are proven.
+        view : ScanView, optional
+            Not looked at.
 
         Returns
         -------

@@ -30,7 +30,7 @@ def perfect(T_map_world: np.ndarray, offset: float = 0.0) -> EstimatedTracks:
     return EstimatedTracks(
         frames=frames,
         ids=ids,
-        positions=se2.transform(T_map_world, states[:, :2]) + [offset, 0.0],
+        positions=se2.transform(T_map_world, states[:, :2]) + np.array([offset, 0.0]),
         velocities=states[:, 2:] @ se2.rotation(T_map_world[2]).T,
         covs=np.broadcast_to(0.01 * np.eye(2), (len(ids), 2, 2)),
         T_map_base=se2.compose(T_map_world, ROBOT),

@@ -1,0 +1,323 @@
+"""Kernels of the segment tracker: legs as segments of a scan, their tracks, what the laser sees at a place."""
+
+import math
+
+import numpy as np
+
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking._kernels import OUTSIDE, _innovation
+
+N_POINTS, X, Y, WIDTH, COV_XX, COV_XY, COV_YY, N_PROVEN = range(8)
+"""Columns of a table of segments."""
+
+PRESENT, OCCLUDED, OUT_OF_VIEW, EMPTY = range(4)
+"""What the laser sees at a place: something there; something before it; it does not look there; it sees through."""
+
+
+@kernel
+def find_segments(
+    points: FloatArray,
+    packed_cov: FloatArray,
+    cluster: IntArray,
+    is_proven: BoolArray,
+    laser_x: float,
+    laser_y: float,
+    angle_increment: float,
+    gap: float,
+    push: float,
+    max_push: float,
+    segment: IntArray,
+    table: FloatArray,
+) -> int:
+    """Split the moving beams (`cluster` >= 0) into segments: neighbours in the scan and nearer than `gap` [m].
+
+    Fills `segment` (n,), -1 for other beams, and `table` (n, 8); returns the number of segments. The near side of a
+    round thing of width w lies ``push * w / 2`` before its centre in the mean (pi / 4 for a circle seen in whole).
+    """
+    n = points.shape[0]
+    n_segments = 0
+    last = -2
+    for k in range(n):
+        segment[k] = -1
+        if cluster[k] < 0:
+            continue
+        range_m = math.hypot(points[k, 0] - laser_x, points[k, 1] - laser_y)
+        apart = max(gap, 2.2 * range_m * abs(angle_increment))
+        if not (
+            last == k - 1
+            and math.hypot(points[k, 0] - points[last, 0], points[k, 1] - points[last, 1]) <= apart
+        ):
+            table[n_segments] = 0.0
+            n_segments += 1
+        s = n_segments - 1
+        segment[k] = s
+        last = k
+        table[s, N_POINTS] += 1.0
+        table[s, X] += points[k, 0]
+        table[s, Y] += points[k, 1]
+        table[s, COV_XX] += packed_cov[k, 0]
+        table[s, COV_XY] += packed_cov[k, 1]
+        table[s, COV_YY] += packed_cov[k, 2]
+        if is_proven[k]:
+            table[s, N_PROVEN] += 1.0
+    first = 0
+    for s in range(n_segments):
+        while segment[first] != s:
+            first += 1
+        end = first
+        while end + 1 < n and segment[end + 1] == s:
+            end += 1
+        count = table[s, N_POINTS]
+        for c in (X, Y, COV_XX, COV_XY, COV_YY):
+            table[s, c] /= count
+        dx = table[s, X] - laser_x
+        dy = table[s, Y] - laser_y
+        range_m = max(math.hypot(dx, dy), 1e-6)
+        width = math.hypot(points[end, 0] - points[first, 0], points[end, 1] - points[first, 1])
+        table[s, WIDTH] = width + range_m * abs(angle_increment)
+        behind = min(push * 0.5 * table[s, WIDTH], max_push) / range_m
+        table[s, X] += behind * dx
+        table[s, Y] += behind * dy
+        first = end
+    return n_segments
+
+
+@kernel
+def _distance2(
+    states: FloatArray, covs: FloatArray, table: FloatArray, t: int, s: int, variance: float
+) -> tuple[float, float]:
+    """Squared Mahalanobis distance of a segment to a track, and the log of the determinant of its covariance."""
+    noise = np.empty((2, 2))
+    noise[0, 0] = table[s, COV_XX] + variance
+    noise[0, 1] = noise[1, 0] = table[s, COV_XY]
+    noise[1, 1] = table[s, COV_YY] + variance
+    u, var_u, w, var_w, _ = _innovation(states[t], covs[t], table[s, X : Y + 1], noise)
+    return u * u / var_u + w * w / var_w, math.log(var_u * var_w)
+
+
+@kernel
+def assign(
+    states: FloatArray,
+    covs: FloatArray,
+    level: IntArray,
+    table: FloatArray,
+    leg_variance: float,
+    gate: float,
+    max_jump: float,
+    body: float,
+    primary: IntArray,
+    owner: IntArray,
+) -> None:
+    """Give each track its nearest segment, the mature ones first, then what belongs to the same body.
+
+    Nearest is the least ``d2 + ln det S``: a track that does not know where its object is must not take what one that
+    knows follows. Level 0 chooses before level 1. Fills `primary` (n,) with a segment or -1 and `owner` (k,) with a
+    track or -1: a segment within `body` [m] of a track's first one and in its gate is joined to it.
+    """
+    n = states.shape[0]
+    k = table.shape[0]
+    primary[:] = -1
+    owner[:] = -1
+    d2 = np.empty((n, k))
+    cost = np.empty((n, k))
+    for t in range(n):
+        for s in range(k):
+            dx = table[s, X] - states[t, 0]
+            dy = table[s, Y] - states[t, 1]
+            d2[t, s] = cost[t, s] = OUTSIDE
+            if dx * dx + dy * dy > max_jump * max_jump:
+                continue
+            distance2, log_det = _distance2(states, covs, table, t, s, leg_variance)
+            if distance2 <= gate:
+                d2[t, s] = distance2
+                cost[t, s] = distance2 + log_det
+    for now in range(2):
+        while True:
+            least = OUTSIDE
+            best_t = best_s = -1
+            for t in range(n):
+                if level[t] != now or primary[t] >= 0:
+                    continue
+                for s in range(k):
+                    if owner[s] < 0 and cost[t, s] < least:
+                        least = cost[t, s]
+                        best_t = t
+                        best_s = s
+            if best_t < 0:
+                break
+            primary[best_t] = best_s
+            owner[best_s] = best_t
+        if now == 0:
+            _join_bodies(table, d2, level, 0, body, primary, owner)
+    _join_bodies(table, d2, level, 1, body, primary, owner)
+
+
+@kernel
+def _join_bodies(
+    table: FloatArray,
+    d2: FloatArray,
+    level: IntArray,
+    now: int,
+    body: float,
+    primary: IntArray,
+    owner: IntArray,
+) -> None:
+    for s in range(table.shape[0]):
+        if owner[s] >= 0:
+            continue
+        least = OUTSIDE
+        for t in range(primary.shape[0]):
+            p = primary[t]
+            if p < 0 or level[t] != now or d2[t, s] >= least:
+                continue
+            dx = table[s, X] - table[p, X]
+            dy = table[s, Y] - table[p, Y]
+            if dx * dx + dy * dy <= body * body:
+                least = d2[t, s]
+                owner[s] = t
+
+
+@kernel
+def measure(
+    table: FloatArray,
+    owner: IntArray,
+    leg_width: float,
+    leg_variance: float,
+    both_variance: float,
+    centres: FloatArray,
+    noise: FloatArray,
+    n_joined: IntArray,
+) -> None:
+    """Centre of each track's object from its segments: the middle of both legs, or what one leg or a trunk tells.
+
+    Fills `centres` (n, 2), `noise` (n, 2, 2) and `n_joined` (n,), the number of segments.
+    """
+    n = centres.shape[0]
+    wide = np.zeros(n)
+    centres[:] = 0.0
+    noise[:] = 0.0
+    n_joined[:] = 0
+    for s in range(table.shape[0]):
+        t = owner[s]
+        if t < 0:
+            continue
+        n_joined[t] += 1
+        centres[t, 0] += table[s, X]
+        centres[t, 1] += table[s, Y]
+        noise[t, 0, 0] += table[s, COV_XX]
+        noise[t, 0, 1] += table[s, COV_XY]
+        noise[t, 1, 1] += table[s, COV_YY]
+        wide[t] = max(wide[t], table[s, WIDTH])
+    for t in range(n):
+        if n_joined[t] == 0:
+            continue
+        m = n_joined[t]
+        variance = both_variance if m > 1 or wide[t] > leg_width else leg_variance
+        centres[t] /= m
+        noise[t] /= m
+        noise[t, 1, 0] = noise[t, 0, 1]
+        noise[t, 0, 0] += variance
+        noise[t, 1, 1] += variance
+
+
+@kernel
+def drop_weak(
+    table: FloatArray, owner: IntArray, min_points: int, primary: IntArray, n_joined: IntArray
+) -> None:
+    """Take back sightings of fewer than `min_points` points of which none is on free cells."""
+    n_points = np.zeros(primary.shape[0])
+    n_proven = np.zeros(primary.shape[0])
+    for s in range(table.shape[0]):
+        if owner[s] >= 0:
+            n_points[owner[s]] += table[s, N_POINTS]
+            n_proven[owner[s]] += table[s, N_PROVEN]
+    for t in range(primary.shape[0]):
+        if primary[t] >= 0 and n_proven[t] == 0.0 and n_points[t] < min_points:
+            primary[t] = -1
+            n_joined[t] = 0
+    for s in range(table.shape[0]):
+        if owner[s] >= 0 and primary[owner[s]] < 0:
+            owner[s] = -1
+
+
+@kernel
+def group_unowned(table: FloatArray, is_unowned: BoolArray, gap: float, group: IntArray) -> int:
+    """Group the segments that no track owns by distance; fills `group` (k,), -1 for owned; returns their number."""
+    n_groups = 0
+    for s in range(table.shape[0]):
+        group[s] = -1
+    for s in range(table.shape[0]):
+        if not is_unowned[s] or group[s] >= 0:
+            continue
+        group[s] = n_groups
+        has_grown = True
+        while has_grown:
+            has_grown = False
+            for a in range(table.shape[0]):
+                if group[a] != n_groups:
+                    continue
+                for b in range(table.shape[0]):
+                    if (
+                        is_unowned[b]
+                        and group[b] < 0
+                        and math.hypot(table[a, X] - table[b, X], table[a, Y] - table[b, Y]) <= gap
+                    ):
+                        group[b] = n_groups
+                        has_grown = True
+        n_groups += 1
+    return n_groups
+
+
+@kernel
+def sight_at(
+    states: FloatArray,
+    T_laser: FloatArray,
+    angle_min: float,
+    angle_increment: float,
+    ranges: FloatArray,
+    is_valid: BoolArray,
+    is_no_return: BoolArray,
+    radius: float,
+    sight: IntArray,
+) -> None:
+    """Fill `sight` (n,) with what a laser at the pose `T_laser` sees at the places of tracks (n, 4).
+
+    A place is EMPTY if all beams towards it pass it by `radius` [m] or never return, and OCCLUDED if more than half end
+    before it.
+    """
+    n_beams = ranges.shape[0]
+    for t in range(states.shape[0]):
+        dx = states[t, 0] - T_laser[0]
+        dy = states[t, 1] - T_laser[1]
+        distance = math.hypot(dx, dy)
+        turn = math.copysign(2.0 * math.pi, angle_increment)
+        angle = math.atan2(dy, dx) - T_laser[2] - angle_min
+        angle -= turn * math.floor(angle / turn)
+        half = math.atan2(radius, max(distance, radius)) / abs(angle_increment)
+        at = angle / angle_increment
+        low = math.ceil(at - half)
+        high = math.floor(at + half)
+        if low > high:
+            low = high = math.floor(at + 0.5)
+        n_asked = n_past = n_before = 0
+        is_cut = low < 0 or high >= n_beams
+        for m in range(max(low, 0), min(high, n_beams - 1) + 1):
+            if not is_valid[m]:
+                if is_no_return[m]:
+                    n_asked += 1
+                    n_past += 1
+                continue
+            n_asked += 1
+            if ranges[m] > distance + radius:
+                n_past += 1
+            elif ranges[m] < distance - radius:
+                n_before += 1
+        if n_asked == 0 or is_cut:
+            sight[t] = OUT_OF_VIEW
+        elif n_past == n_asked:
+            sight[t] = EMPTY
+        elif 2 * n_before > n_asked:
+            sight[t] = OCCLUDED
+        else:
+            sight[t] = PRESENT

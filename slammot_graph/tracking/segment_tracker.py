@@ -1,0 +1,364 @@
+"""Tracks of people: a track joins the segments of a scan that belong to one body, and knows what the laser sees."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking import _kernels as _track_kernels
+from slammot_graph.tracking import _segment_kernels as _kernels
+from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking.track_table import Tracks
+
+_NO_BEAMS: IntArray = np.empty(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentTrackerConfig(Checked):
+    """Motion and measurement noise of the tracks, what belongs to one body, and when tracks begin, show and end.
+
+    Attributes
+    ----------
+    acceleration_std_m_s2 : float
+        White-noise acceleration of a walking person.
+    leg_std_m : float
+        Of one leg as a measurement of the person's centre.
+    body_std_m : float
+        The same of both legs, or of a trunk.
+    start_speed_std_m_s : float
+    gate : float
+        Largest squared Mahalanobis distance of a segment to a track (9.21: 99% for two dimensions).
+    max_jump_m : float
+        Nor is a segment farther than this from where a track was predicted.
+    segment_gap_m : float
+        Neighbouring beams farther apart belong to different segments.
+    leg_width_m : float
+        A wider segment is more than a leg.
+    body_m : float
+        Segments this near to each other may be one body.
+    apart_m : float
+        What is nearer than this to an object that is followed begins no track.
+    twin_m, max_twin_s : float
+        Two tracks nearer than this for this long follow one object: the younger one ends.
+    n_confirm : int
+        Sightings needed before a track is reported.
+    shown_s : float
+        A track is reported up to this long after a sighting, unless the laser sees through it.
+    max_empty_s : float
+        A track ends when the laser has seen through its place for this long.
+    max_unproven_s : float
+        A track ends when no beam on free cells was among its sightings for this long: what is taken for an object since
+        one is expected there must not keep that expectation alive.
+    min_unproven_points : int
+        A sighting of fewer points, none of them on free cells, is none.
+    max_missed_s : float
+        A track ends after this long without a sighting, where it is occluded or out of view.
+    min_distance_m : float
+        An object has displaced once it was this far from where it was first seen.
+    """
+
+    acceleration_std_m_s2: Positive = 1.5
+    leg_std_m: Positive = 0.15
+    body_std_m: Positive = 0.06
+    start_speed_std_m_s: Positive = 1.0
+    gate: Positive = 9.21
+    max_jump_m: Positive = 1.5
+    segment_gap_m: Positive = 0.1
+    leg_width_m: Positive = 0.25
+    body_m: Positive = 0.5
+    apart_m: NotNegative = 0.7
+    twin_m: Positive = 0.35
+    max_twin_s: Positive = 1.0
+    n_confirm: Count = 3
+    shown_s: Positive = 0.35
+    max_empty_s: Positive = 0.6
+    max_unproven_s: Positive = 1.0
+    min_unproven_points: Count = 3
+    max_missed_s: Positive = 3.0
+    min_distance_m: Positive = 1.0
+
+
+class SegmentTracker:
+    """A `Tracker` of people and other things of their size."""
+
+    def __init__(self, config: SegmentTrackerConfig) -> None:
+        self.config = config
+        self._tracks = Tracks.none()
+        self._beams: dict[int, IntArray] = {}
+        self._stamp_s: float | None = None
+        self._next_id = 0
+
+    @property
+    def tracks(self) -> list[Track]:
+        """See `Tracker`."""
+        return self._listed(np.full(len(self._tracks), True))
+
+    def predicted_positions(self, stamp_s: float) -> FloatArray:
+        """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
+        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        states = self._tracks.states[self._displaced()]
+        return states[:, :2] + dt * states[:, 2:]
+
+    def displaced(self) -> list[Track]:
+        """See `Tracker`."""
+        return self._listed(self._displaced())
+
+    def update(
+        self,
+        stamp_s: float,
+        centres: FloatArray,
+        centre_covs: FloatArray,
+        beams: Sequence[IntArray],
+        is_proven: BoolArray | None = None,
+        view: ScanView | None = None,
+    ) -> list[Track]:
+        """Predict to `stamp_s`, join segments to tracks, begin and end tracks.
+
+        Parameters
+        ----------
+        stamp_s : float
+            A stamp that runs backward counts as no time passed.
+        centres, centre_covs, beams, is_proven
+            See `Tracker`; without a view each cluster is one segment.
+        view : ScanView, optional
+            The scan itself: its segments, and what the laser sees where no object was found.
+
+        Returns
+        -------
+        Confirmed tracks that were seen a moment ago.
+        """
+        config = self.config
+        dt = self._advance(stamp_s)
+        tracks = self._tracks
+        if not len(tracks) and not len(centres):
+            return []
+        table, segment = _segments(centres, centre_covs, beams, is_proven, view, config)
+        n = len(tracks)
+        owner, measured = self._associate(table, dt)
+        is_hit = measured >= 0
+        tracks.n_hits[is_hit] += 1
+        tracks.missed_s[:] = np.where(is_hit, 0.0, tracks.missed_s + dt)
+        n_proven = np.bincount(owner[owner >= 0], weights=table[owner >= 0, _kernels.N_PROVEN], minlength=n)
+        tracks.unproven_s[:] = np.where(n_proven > 0, 0.0, tracks.unproven_s + np.where(is_hit, dt, 0.0))
+        self._look(view, is_hit, dt)
+        self._beams = {}
+        if len(table):
+            of_beam = np.where(segment >= 0, owner[segment], -1) if view is not None else None
+            for t in np.flatnonzero(is_hit):
+                if of_beam is not None:
+                    own = np.flatnonzero(of_beam == t)
+                else:
+                    own = np.concatenate([beams[s] for s in np.flatnonzero(owner == t)])
+                self._beams[int(tracks.ids[t])] = own
+        offset = tracks.states[:, :2] - tracks.starts
+        far = np.hypot(offset[:, 0], offset[:, 1]) >= config.min_distance_m
+        tracks.has_displaced |= far & is_hit & (tracks.n_hits >= config.n_confirm)
+        is_ended = self._is_ended() | self._is_twin(is_hit, dt)
+        if n and is_ended.any():
+            self._tracks = tracks.take(~is_ended)
+        self._begin(table, owner, segment, beams, view)
+        return self._listed(self._shown())
+
+    def _advance(self, stamp_s: float) -> float:
+        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        self._stamp_s = stamp_s if self._stamp_s is None else max(stamp_s, self._stamp_s)
+        if stamp_s < self._stamp_s - self.config.max_missed_s:
+            self._stamp_s = stamp_s  # the clock was set back for good
+        return dt
+
+    def _associate(self, table: FloatArray, dt: float) -> tuple[IntArray, IntArray]:
+        """Predict, join and correct; gives the track of each segment and the first segment of each track, or -1."""
+        config, tracks = self.config, self._tracks
+        n = len(tracks)
+        owner, primary = np.full(len(table), -1), np.full(n, -1)
+        if not n:
+            return owner, primary
+        _track_kernels.predict(tracks.states, tracks.covs, dt, config.acceleration_std_m_s2)
+        if not len(table):
+            return owner, primary
+        level = np.where(tracks.n_hits >= config.n_confirm, 0, 1)
+        _kernels.assign(
+            tracks.states,
+            tracks.covs,
+            level,
+            table,
+            config.leg_std_m**2,
+            config.gate,
+            config.max_jump_m,
+            config.body_m,
+            primary,
+            owner,
+        )
+        places, noise, n_joined = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, dtype=np.int64)
+        _kernels.measure(
+            table,
+            owner,
+            config.leg_width_m,
+            config.leg_std_m**2,
+            config.body_std_m**2,
+            places,
+            noise,
+            n_joined,
+        )
+        _kernels.drop_weak(table, owner, config.min_unproven_points, primary, n_joined)
+        of = np.where(n_joined > 0, np.arange(n), -1)
+        _track_kernels.correct(tracks.states, tracks.covs, places, noise, of)
+        return owner, primary
+
+    def _look(self, view: ScanView | None, is_hit: BoolArray, dt: float) -> None:
+        """Note what the laser sees where a track was not sighted."""
+        tracks = self._tracks
+        tracks.sight[:] = _kernels.PRESENT
+        missed = np.flatnonzero(~is_hit)
+        if view is None:
+            tracks.sight[missed] = _kernels.EMPTY
+        elif len(missed):
+            sight = np.empty(len(missed), dtype=np.int64)
+            _kernels.sight_at(
+                tracks.states[missed],
+                view.T_local_laser,
+                view.angle_min,
+                view.angle_increment,
+                view.ranges,
+                view.is_valid,
+                view.is_no_return,
+                self.config.leg_width_m,
+                sight,
+            )
+            tracks.sight[missed] = sight
+        is_empty = tracks.sight == _kernels.EMPTY
+        tracks.empty_s[:] = np.where(is_hit, 0.0, tracks.empty_s + np.where(is_empty, dt, 0.0))
+
+    def _is_ended(self) -> BoolArray:
+        config, tracks = self.config, self._tracks
+        is_new = tracks.n_hits < config.n_confirm
+        ended = (tracks.empty_s > config.max_empty_s) | (tracks.missed_s > config.max_missed_s)
+        ended |= tracks.unproven_s > config.max_unproven_s
+        return np.asarray(ended | (is_new & (tracks.missed_s > config.shown_s)))
+
+    def _is_twin(self, is_hit: BoolArray, dt: float) -> BoolArray:
+        """Mark tracks on the place of an older one that were hardly ever apart from others."""
+        tracks = self._tracks
+        is_twin = np.zeros(len(tracks), dtype=np.bool_)
+        if len(tracks) < 2:
+            tracks.n_alone[is_hit] += 1
+            return is_twin
+        offset = tracks.states[:, None, :2] - tracks.states[None, :, :2]
+        distance = np.hypot(offset[..., 0], offset[..., 1])
+        np.fill_diagonal(distance, math.inf)
+        is_alone = distance.min(axis=1) > self.config.apart_m
+        tracks.n_alone[is_hit & is_alone] += 1
+        shares = np.zeros(len(tracks), dtype=np.bool_)
+        for i, j in zip(*np.nonzero(distance < self.config.body_m), strict=True):
+            if i < j and not is_twin[i]:  # the older one comes first
+                shares[j] |= distance[i, j] < self.config.twin_m
+                is_twin[j] |= tracks.n_alone[j] < 5 or tracks.twin_s[j] > self.config.max_twin_s
+        tracks.twin_s[:] = np.where(shares, tracks.twin_s + dt, 0.0)
+        return is_twin
+
+    def _begin(
+        self,
+        table: FloatArray,
+        owner: IntArray,
+        segment: IntArray,
+        beams: Sequence[IntArray],
+        view: ScanView | None,
+    ) -> None:
+        """Begin tracks with the segments that belong to none and are not beside an object that is followed."""
+        config, tracks = self.config, self._tracks
+        is_free = owner < 0
+        if not is_free.any():
+            return
+        followed = tracks.states[tracks.missed_s == 0.0, :2]
+        if len(followed):
+            offset = table[:, None, _kernels.X : _kernels.Y + 1] - followed
+            is_free &= np.hypot(offset[..., 0], offset[..., 1]).min(axis=1) > config.apart_m
+        group = np.empty(len(table), dtype=np.int64)
+        n_groups = _kernels.group_unowned(table, is_free, config.body_m, group)
+        for g in range(n_groups):
+            rows = np.flatnonzero(group == g)
+            if table[rows, _kernels.N_PROVEN].sum() > 0 and table[rows, _kernels.N_POINTS].sum() >= 2:
+                own = (
+                    np.flatnonzero(np.isin(segment, rows))
+                    if view is not None
+                    else np.concatenate([beams[s] for s in rows])
+                )
+                self._add(table[rows], own)
+
+    def _add(self, rows: FloatArray, beams: IntArray) -> None:
+        owner = np.zeros(len(rows), dtype=np.int64)
+        config = self.config
+        place, noise, n_joined = np.empty((1, 2)), np.empty((1, 2, 2)), np.empty(1, dtype=np.int64)
+        leg, body = config.leg_std_m**2, config.body_std_m**2
+        _kernels.measure(rows, owner, config.leg_width_m, leg, body, place, noise, n_joined)
+        cov = np.zeros((4, 4))
+        cov[:2, :2] = noise[0]
+        cov[2, 2] = cov[3, 3] = config.start_speed_std_m_s**2
+        self._tracks = self._tracks.with_new(self._next_id, place[0], cov)
+        self._beams[self._next_id] = beams
+        self._next_id += 1
+
+    def _shown(self) -> BoolArray:
+        config, tracks = self.config, self._tracks
+        is_known = (tracks.n_hits >= config.n_confirm) & (tracks.missed_s <= config.shown_s)
+        return np.asarray(is_known & (tracks.sight != _kernels.EMPTY))
+
+    def _displaced(self) -> BoolArray:
+        tracks = self._tracks
+        return np.asarray(tracks.has_displaced & (tracks.missed_s <= 1.0))
+
+    def _listed(self, is_listed: BoolArray) -> list[Track]:
+        tracks = self._tracks
+        return [
+            Track(
+                track_id=(number := int(tracks.ids[t])),
+                state=tracks.states[t].copy(),
+                cov=tracks.covs[t].copy(),
+                start=tracks.starts[t],
+                n_hits=int(tracks.n_hits[t]),
+                missed_s=float(tracks.missed_s[t]),
+                beams=self._beams.get(number, _NO_BEAMS),
+            )
+            for t in np.flatnonzero(is_listed).tolist()
+        ]
+
+
+def _segments(
+    centres: FloatArray,
+    centre_covs: FloatArray,
+    beams: Sequence[IntArray],
+    is_proven: BoolArray | None,
+    view: ScanView | None,
+    config: SegmentTrackerConfig,
+) -> tuple[FloatArray, IntArray]:
+    """(k, 8) table of the segments, and the segment of each beam; without a view each cluster is one."""
+    proven = np.full(len(centres), True) if is_proven is None else is_proven
+    if view is None:
+        sizes = [len(own) for own in beams]
+        columns = [sizes, *centres.T, np.full(len(centres), 2.0 * config.leg_width_m)]
+        covs = [centre_covs[:, 0, 0], centre_covs[:, 0, 1], centre_covs[:, 1, 1], sizes * proven]
+        return np.array([*columns, *covs], dtype=np.float64).T.reshape(-1, 8).copy(), _NO_BEAMS
+    n = len(view.points)
+    segment, table = np.empty(n, dtype=np.int64), np.empty((n if len(centres) else 0, 8))
+    if not len(centres):
+        segment[:] = -1
+        return table, segment
+    x, y, _ = view.T_local_laser.tolist()
+    n_segments = _kernels.find_segments(
+        view.points,
+        view.packed_cov,
+        view.cluster,
+        view.is_proven,
+        x,
+        y,
+        view.angle_increment,
+        config.segment_gap_m,
+        0.25 * math.pi,
+        config.leg_width_m,
+        segment,
+        table,
+    )
+    return table[:n_segments], segment
