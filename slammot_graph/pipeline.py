@@ -14,7 +14,7 @@ from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.factory import make_detector
-from slammot_graph.detection.reasons import FREE
+from slammot_graph.detection.reasons import FREE, VACATED
 from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.factory import make_localizer
@@ -234,7 +234,7 @@ class Pipeline:
             points=points,
             packed_cov=detection.packed_cov,
             cluster=detection.cluster,
-            is_proven=detection.reason == FREE,
+            is_proven=(detection.reason == FREE) | (detection.reason == VACATED),
             T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
             angle_min=scan.laser.angle_min,
             angle_increment=scan.laser.angle_increment,

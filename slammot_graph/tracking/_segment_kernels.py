@@ -242,6 +242,78 @@ def drop_weak(
 
 
 @kernel
+def find_standing(
+    points: FloatArray,
+    is_valid: BoolArray,
+    cluster: IntArray,
+    places: FloatArray,
+    reach: float,
+    gap: float,
+    out: IntArray,
+) -> bool:
+    """Add to the moving beams those of whoever stands at a place (k, 2): small things that stand by themselves.
+
+    Neighbouring beams within `reach` [m] of a place count if nothing beside them is nearer than `gap` [m]: else it is a
+    part of something larger; nor do they where beams of something moving are as near. Fills `out` (n,) with `cluster` and higher numbers; tells whether there are any.
+    """
+    n = points.shape[0]
+    number = 0
+    for k in range(n):
+        out[k] = cluster[k]
+        number = max(number, cluster[k] + 1)
+    is_any = False
+    for p in range(places.shape[0]):
+        is_moving = False
+        for k in range(n):
+            is_moving = is_moving or (
+                cluster[k] >= 0
+                and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= 1.5 * reach
+            )
+        if is_moving:
+            continue
+        first = -1
+        for k in range(n + 1):
+            is_near = (
+                k < n
+                and is_valid[k]
+                and cluster[k] < 0
+                and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= reach
+            )
+            if is_near and first < 0:
+                first = k
+            if is_near and k > first:
+                is_near = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1]) <= gap
+                if not is_near and not _is_attached(points, is_valid, first, k - 1, gap):
+                    for m in range(first, k):
+                        out[m] = number
+                    is_any = True
+                if not is_near:
+                    first = k
+                continue
+            if not is_near and first >= 0:
+                if not _is_attached(points, is_valid, first, k - 1, gap):
+                    for m in range(first, k):
+                        out[m] = number
+                    is_any = True
+                first = -1
+        number += 1
+    return is_any
+
+
+@kernel
+def _is_attached(points: FloatArray, is_valid: BoolArray, first: int, last: int, gap: float) -> bool:
+    """Whether the beam before or after some neighbouring ones ends within `gap` [m] of them."""
+    for a, b in ((first, first - 1), (last, last + 1)):
+        if (
+            0 <= b < points.shape[0]
+            and is_valid[b]
+            and math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]) <= gap
+        ):
+            return True
+    return False
+
+
+@kernel
 def group_unowned(table: FloatArray, is_unowned: BoolArray, gap: float, group: IntArray) -> int:
     """Group the segments that no track owns by distance; fills `group` (k,), -1 for owned; returns their number."""
     n_groups = 0

@@ -35,6 +35,8 @@ class SegmentTrackerConfig(Checked):
         Nor is a segment farther than this from where a track was predicted.
     segment_gap_m : float
         Neighbouring beams farther apart belong to different segments.
+    standing_reach_m, standing_gap_m, standing_speed_m_s : float
+        Points this near to a slow object that has displaced are its own, if nothing else is within the gap beside them.
     leg_width_m : float
         A wider segment is more than a leg.
     body_m : float
@@ -67,10 +69,13 @@ class SegmentTrackerConfig(Checked):
     gate: Positive = 9.21
     max_jump_m: Positive = 1.5
     segment_gap_m: Positive = 0.1
+    standing_reach_m: Positive = 0.35
+    standing_gap_m: Positive = 0.15
+    standing_speed_m_s: Positive = 0.5
     leg_width_m: Positive = 0.25
     body_m: Positive = 0.5
     apart_m: NotNegative = 0.7
-    twin_m: Positive = 0.35
+    twin_m: Positive = 0.5
     max_twin_s: Positive = 1.0
     n_confirm: Count = 3
     shown_s: Positive = 0.35
@@ -135,7 +140,7 @@ class SegmentTracker:
         tracks = self._tracks
         if not len(tracks) and not len(centres):
             return []
-        table, segment = _segments(centres, centre_covs, beams, is_proven, view, config)
+        table, segment = _segments(centres, centre_covs, beams, is_proven, view, self._standing(), config)
         n = len(tracks)
         owner, measured = self._associate(table, dt)
         is_hit = measured >= 0
@@ -147,11 +152,11 @@ class SegmentTracker:
         self._beams = {}
         if len(table):
             of_beam = np.where(segment >= 0, owner[segment], -1) if view is not None else None
-            for t in np.flatnonzero(is_hit):
+            for t in np.flatnonzero(is_hit).tolist():
                 if of_beam is not None:
                     own = np.flatnonzero(of_beam == t)
                 else:
-                    own = np.concatenate([beams[s] for s in np.flatnonzero(owner == t)])
+                    own = np.concatenate([beams[s] for s in np.flatnonzero(owner == t).tolist()])
                 self._beams[int(tracks.ids[t])] = own
         offset = tracks.states[:, :2] - tracks.starts
         far = np.hypot(offset[:, 0], offset[:, 1]) >= config.min_distance_m
@@ -161,6 +166,13 @@ class SegmentTracker:
             self._tracks = tracks.take(~is_ended)
         self._begin(table, owner, segment, beams, view)
         return self._listed(self._shown())
+
+    def _standing(self) -> FloatArray:
+        """(k, 2) places of the objects that have displaced and are slow now, or were not seen a moment ago."""
+        tracks = self._tracks
+        speed = np.hypot(tracks.states[:, 2], tracks.states[:, 3])
+        is_slow = tracks.has_displaced & (speed < self.config.standing_speed_m_s)
+        return tracks.states[is_slow, :2]
 
     def _advance(self, stamp_s: float) -> float:
         dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
@@ -252,11 +264,11 @@ class SegmentTracker:
         is_alone = distance.min(axis=1) > self.config.apart_m
         tracks.n_alone[is_hit & is_alone] += 1
         shares = np.zeros(len(tracks), dtype=np.bool_)
-        for i, j in zip(*np.nonzero(distance < self.config.body_m), strict=True):
+        for i, j in np.argwhere(distance < self.config.body_m).tolist():
             if i < j and not is_twin[i]:  # the older one comes first
                 shares[j] |= distance[i, j] < self.config.twin_m
                 is_twin[j] |= tracks.n_alone[j] < 5 or tracks.twin_s[j] > self.config.max_twin_s
-        tracks.twin_s[:] = np.where(shares, tracks.twin_s + dt, 0.0)
+        tracks.twin_s[:] = np.maximum(tracks.twin_s + np.where(shares, dt, -dt), 0.0)
         return is_twin
 
     def _begin(
@@ -284,7 +296,7 @@ class SegmentTracker:
                 own = (
                     np.flatnonzero(np.isin(segment, rows))
                     if view is not None
-                    else np.concatenate([beams[s] for s in rows])
+                    else np.concatenate([beams[s] for s in rows.tolist()])
                 )
                 self._add(table[rows], own)
 
@@ -332,9 +344,13 @@ def _segments(
     beams: Sequence[IntArray],
     is_proven: BoolArray | None,
     view: ScanView | None,
+    standing: FloatArray,
     config: SegmentTrackerConfig,
 ) -> tuple[FloatArray, IntArray]:
-    """(k, 8) table of the segments, and the segment of each beam; without a view each cluster is one."""
+    """(k, 8) table of the segments, and the segment of each beam; without a view each cluster is one.
+
+    `standing` (m, 2) are places where someone may stand whose beams do not move any more.
+    """
     proven = np.full(len(centres), True) if is_proven is None else is_proven
     if view is None:
         sizes = [len(own) for own in beams]
@@ -342,16 +358,27 @@ def _segments(
         covs = [centre_covs[:, 0, 0], centre_covs[:, 0, 1], centre_covs[:, 1, 1], sizes * proven]
         return np.array([*columns, *covs], dtype=np.float64).T.reshape(-1, 8).copy(), _NO_BEAMS
     n = len(view.points)
-    segment, table = np.empty(n, dtype=np.int64), np.empty((n if len(centres) else 0, 8))
-    if not len(centres):
-        segment[:] = -1
-        return table, segment
+    segment, cluster = np.full(n, -1), view.cluster
+    if len(standing):
+        cluster = np.empty(n, dtype=np.int64)
+        is_any = _kernels.find_standing(
+            view.points,
+            view.is_valid,
+            view.cluster,
+            standing,
+            config.standing_reach_m,
+            config.standing_gap_m,
+            cluster,
+        )
+    if not (len(standing) and is_any) and not len(centres):
+        return np.empty((0, 8)), segment
+    table = np.empty((n, 8))
     x, y, _ = view.T_local_laser.tolist()
     n_segments = _kernels.find_segments(
         view.points,
         view.packed_cov,
-        view.cluster,
-        view.is_proven,
+        cluster,
+        view.is_proven | (cluster > view.cluster),
         x,
         y,
         view.angle_increment,

@@ -7,7 +7,7 @@ from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.evaluation import EstimatedTracks, TrueObjects, evaluate_objects, read_objects
 
 N = 100
-STAMPS = 0.1 * np.arange(N)
+STAMPS = np.arange(0.0, 0.1 * N - 0.05, 0.1)
 ROBOT = np.column_stack([0.05 * np.arange(N), np.zeros(N), np.linspace(0.0, 1.0, N)])
 
 
