@@ -11,6 +11,7 @@ from slammot_graph.core.results import GridMap
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.pipeline import Pipeline
+from slammot_graph.tracking.smoothing import SmoothedTracks
 
 T = TypeVar("T")
 
@@ -35,6 +36,7 @@ class Outcome:
     labels: list[BoolArray] | None
     grid: GridMap
     moving_points: FloatArray
+    tracks: SmoothedTracks | None
     failures: dict[str, Exception]
 
 
@@ -52,10 +54,15 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
     final = attempt("optimised trajectory", pipeline.final, kept.online_estimate)
     T_map_base = final.T_map_base
     labels = attempt("final labels", lambda: pipeline.final_labels(T_map_base), lambda: None)
-    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
     n = len(kept)
     # a step that was cut short may have left a pose or a label more
     labels = None if labels is None else labels[:n]
+
+    def find_tracks() -> SmoothedTracks | None:
+        return pipeline.final_tracks(T_map_base[:n], labels) if isinstance(pipeline, Pipeline) else None
+
+    tracks = attempt("final tracks", find_tracks, lambda: None)
+    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
 
     def find_moving() -> FloatArray:
         if isinstance(pipeline, Pipeline) and labels is not None:
@@ -64,7 +71,14 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
 
     moving_points = attempt("moving points", find_moving, lambda: kept.moving_points(T_map_base))
     final = replace(final, T_map_base=T_map_base[:n], cov_map=final.cov_map[:n])
-    return Outcome(final=final, labels=labels, grid=grid, moving_points=moving_points, failures=failures)
+    return Outcome(
+        final=final,
+        labels=labels,
+        grid=grid,
+        moving_points=moving_points,
+        tracks=tracks,
+        failures=failures,
+    )
 
 
 def _no_map(resolution_m: float) -> GridMap:

@@ -13,7 +13,7 @@ from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
 from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
-from slammot_graph.tracking.segment_tracker import SegmentTrackerConfig
+from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
 if TYPE_CHECKING:

@@ -12,7 +12,9 @@ from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResu
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.detection.backward_pass import sightings_of_labels
 from slammot_graph.detection.base import Detection
+from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
 from slammot_graph.detection.reasons import FREE, VACATED
 from slammot_graph.detection.scan_history import ScanHistory
@@ -23,6 +25,8 @@ from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import ScanView, track_states
 from slammot_graph.tracking.factory import make_tracker
+from slammot_graph.tracking.segment_config import SegmentTrackerConfig
+from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
 
 __all__ = ["Pipeline", "PipelineConfig"]
 
@@ -60,6 +64,8 @@ class Pipeline:
         self.health = HealthMonitor()
         self._history = ScanHistory()
         self._node_scans = array("q")
+        self._sightings = SightingHistory()
+        self._stamps = array("d")
         self._stopwatch = Stopwatch()
 
     def __enter__(self) -> "Pipeline":
@@ -142,6 +148,28 @@ class Pipeline:
         """Test every scan again at its optimised pose (n, 3); None for a method without a backward pass."""
         tracker = make_tracker(self.config.tracker)
         return self.detector.retrospective_labels(self._history, T_map_base, tracker)
+
+    def final_tracks(self, T_map_base: FloatArray, labels: list[BoolArray] | None) -> SmoothedTracks | None:
+        """Link and smooth the tracks at the optimised poses (n, 3); None for a tracker that keeps no sightings.
+
+        With final labels what they call moving is tracked, else what was seen at the time.
+        """
+        config = self.config.tracker
+        if not isinstance(config, SegmentTrackerConfig) or config.smoothing is None:
+            return None
+        stamps = np.array(self._stamps[: len(T_map_base)])
+        sightings = self._sightings.table()
+        detector = self.config.detector
+        if labels is not None and isinstance(detector, EllipseDetectorConfig):
+            sightings = sightings_of_labels(
+                self._history,
+                T_map_base,
+                labels,
+                ellipse_test=detector.ellipse_test,
+                tracker=make_tracker(config),
+                range_fraction=self.config.range_fraction,
+            )
+        return smooth_tracks(sightings, stamps, T_map_base, config.smoothing)
 
     def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
         """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""
@@ -228,6 +256,7 @@ class Pipeline:
         T_local_base: FloatArray,
     ) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
+        self._stamps.append(scan.stamp)
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
         view = ScanView(
@@ -243,6 +272,9 @@ class Pipeline:
             is_no_return=scan.ranges >= self.config.range_fraction * scan.laser.range_max,
         )
         tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
+        sightings = self.tracker.sightings
+        if sightings is not None:
+            self._sightings.add(len(self._stamps) - 1, sightings, T_local_base)
         return track_states(tracks, self.localizer.T_map_local)
 
     def _remember(

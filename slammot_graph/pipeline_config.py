@@ -12,7 +12,7 @@ from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConf
 from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
-from slammot_graph.tracking.segment_tracker import SegmentTrackerConfig
+from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
 

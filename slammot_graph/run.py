@@ -27,6 +27,7 @@ from slammot_graph.methods import Config, get_method
 from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
 from slammot_graph.registration._solve_kernels import match_point_to_line
+from slammot_graph.tracking.smoothing import SmoothedTracks
 
 
 def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
@@ -216,6 +217,11 @@ class Run:
         is_moving = online if outcome.labels is None else _padded(outcome.labels)
         stage_names = list(dict.fromkeys(name for scan in scans for name in scan.stage_ms))
         log, report = describe(self.log), session.pipeline.odometry_report()
+        tracks_online = np.array(kept.tracks).reshape(-1, 10)
+        is_track_seen = is_seen_online = np.array(kept.is_track_seen, dtype=np.bool_)
+        tracks = tracks_online
+        if outcome.tracks is not None:
+            tracks, is_track_seen = _track_rows(outcome.tracks, scans), outcome.tracks.is_seen
         T_world_base = [scan.T_world_base for scan in scans if scan.T_world_base is not None]
         return RunResult(
             method=self.method,
@@ -229,8 +235,12 @@ class Run:
             is_moving_online=online,
             p_moving=_padded([scan.p_moving for scan in scans], fill=np.nan),
             moving_points=outcome.moving_points,
-            tracks=np.array(kept.tracks).reshape(-1, 10),
-            is_track_seen=np.array(kept.is_track_seen, dtype=np.bool_),
+            tracks=tracks,
+            is_track_seen=is_track_seen,
+            tracks_online=tracks_online,
+            is_track_online_seen=is_seen_online,
+            T_map_base_online=np.array([scan.T_map_base for scan in scans]).reshape(-1, 3),
+            objects=() if outcome.tracks is None else outcome.tracks.objects,
             grid=outcome.grid,
             node_scans=final.node_scans,
             nodes=final.nodes,
@@ -259,6 +269,7 @@ class Run:
 class _KeptScan:
     """What of a step goes into the result; fields as of `StepResult`, of which it is a part."""
 
+    index: int
     stamp: float
     T_map_base: FloatArray
     cov_map: FloatArray
@@ -295,6 +306,7 @@ class _Kept:
             self.moving_base.append((len(self.scans), points.astype(np.float32)))
         self.scans.append(
             _KeptScan(
+                index=step.scan.index,
                 stamp=step.scan.stamp,
                 T_map_base=step.T_map_base,
                 cov_map=step.cov_map,
@@ -350,6 +362,13 @@ class _Session:
     @classmethod
     def begin(cls, config: Config) -> Self:
         return cls(make_pipeline(config), RunStatistics(limits_of(config)))
+
+
+def _track_rows(tracks: SmoothedTracks, scans: Sequence[_KeptScan]) -> FloatArray:
+    """(k, 10) rows of smoothed tracks, the columns `TRACK_COLUMNS`."""
+    stamps, indices = np.array([(scan.stamp, scan.index) for scan in scans]).reshape(-1, 2)[tracks.scans].T
+    covs = tracks.covs[:, [0, 0, 1], [0, 1, 1]]
+    return np.column_stack([stamps, tracks.ids, tracks.states, covs, indices])
 
 
 def _skipped(log: Any) -> Sequence[SkippedScan]:

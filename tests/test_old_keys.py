@@ -15,7 +15,7 @@ from slammot_graph.methods import METHODS
 from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.old_keys import DROPPED
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.segment_tracker import SegmentTrackerConfig
+from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 
 SETTINGS = Path(__file__).parent / "settings_of_0_1"
 """Whole files of two methods, as release 0.1 wrote them."""

@@ -76,8 +76,8 @@ def test_tracks_are_rows_of_plain_numbers() -> None:
             rows.append([step.scan.stamp, track.track_id, *place, step.scan.index])
             is_seen.append(len(track.beams) > 0)
     assert len(rows) > 10
-    np.testing.assert_array_equal(run.result().tracks, rows)
-    np.testing.assert_array_equal(run.result().is_track_seen, is_seen)
+    np.testing.assert_array_equal(run.result().tracks_online, rows)
+    np.testing.assert_array_equal(run.result().is_track_online_seen, is_seen)
     assert set(is_seen) == {True, False}
 
 
@@ -328,7 +328,7 @@ def test_a_failing_end_keeps_what_was_computed_and_tells_why(
     assert result.failures == (f"{what}: no space left",)
     assert not result.is_complete
     assert run.is_complete
-    kept_as_it_was = ["stamps", "is_valid", "is_moving_online", "tracks", "nis", "p_moving"]
+    kept_as_it_was = ["stamps", "is_valid", "is_moving_online", "tracks_online", "nis", "p_moving"]
     for name in kept_as_it_was + (["T_map_base", "cov_map", "nodes"] if broken != "final" else []):
         np.testing.assert_array_equal(getattr(result, name), getattr(plain, name), err_msg=name)
     if broken == "final":  # the poses of the time

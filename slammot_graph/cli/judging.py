@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 from rich.table import Table
 
@@ -35,16 +36,20 @@ def evaluate_command(
     truth: Annotated[Path | None, tyro.conf.arg(metavar="FILE.tum|npz")] = None,
     max_duration: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0,
 ) -> int:
-    """Compare a run's trajectory with true relations (Kuemmerle et al. 2009), or with a true trajectory.
+    """Compare a run with the truth: its trajectory, and with a simulated log also its moving points and its tracks.
+
+    A track counts where at least 3 valid beams hit the object, and follows it within 0.5 m; who was out of sight for
+    more than 3 s comes back as a new appearance; drift of the map does not count as an error of the tracks.
 
     Parameters
     ----------
     directory
         The run folder.
     relations
-        Lines "t1 t2 x y z roll pitch yaw".
+        Lines "t1 t2 x y z roll pitch yaw" (Kuemmerle et al. 2009).
     truth
-        Lines "stamp x y z qx qy qz qw", or an .npz log with `poses`; poses belong together within 0.01 s.
+        Lines "stamp x y z qx qy qz qw", or an .npz log with `poses`; poses belong together within 0.01 s. A log that
+        knows its `is_moving`, `object_id` and `objects` also judges points and tracks.
     max_duration
         Show also the relations whose ends lie within this time of each other [s].
     """
@@ -57,6 +62,8 @@ def evaluate_command(
         tables.append(_relation_table(directory, relations, max_duration))
     if truth is not None:
         tables.append(_truth_table(directory, truth))
+        if truth.suffix == ".npz":
+            tables += _object_tables(directory, truth)
     for table in tables:
         stdout().print(table)
     return EXIT_OK
@@ -114,6 +121,66 @@ def _truth_table(directory: Path, truth: Path) -> Table:
         figures = number(stats.rmse, 4), mean_and_std(stats), number(stats.median, 4), number(stats.max, 4)
         table.add_row(name, str(stats.n), str(scores.n_unmatched), *figures)
     return table
+
+
+def _object_tables(directory: Path, truth: Path) -> list[Table]:
+    """Moving points and tracks, where the log knows them."""
+    from slammot_graph.core.results import TRACK_COLUMNS
+    from slammot_graph.core.stamps import have_same_times
+    from slammot_graph.evaluation import evaluate_points, evaluate_run_tracks, read_objects
+    from slammot_graph.logs import open_log
+    from slammot_graph.run_folder.reader import read_run_folder
+    from slammot_graph.run_folder.tracks import ONLINE_COLUMNS, read_track_columns
+
+    run, log = read_run_folder(directory), open_log(truth)
+    if run.points is None:
+        return []
+    scans = [scan for scan, _ in zip(log, run.stamps, strict=False)]
+    if not have_same_times(run.stamps, np.array([scan.stamp for scan in scans])):
+        text = f"warning: {truth} has other scans than the run: its points and tracks are not judged"
+        stderr().print(text, soft_wrap=True)
+        return []
+    tables, points = [], run.points
+    labels = [None if scan.truth is None else scan.truth.is_moving for scan in scans]
+    known = [one for one in labels if one is not None and len(one) == points.is_moving.shape[1]]
+    if known and len(known) == len(labels):
+        table = figure_table(
+            f"Moving points of {directory} against {truth.name}",
+            "labels",
+            *("precision", "recall", "IoU", "static points kept"),
+            no_wrap=True,
+        )
+        for name, found in (("online", points.is_moving_online), ("final", points.is_moving)):
+            one = evaluate_points(found, np.array(known), points.is_valid)
+            figures = (one.precision, one.recall, one.iou, one.static_kept)
+            table.add_row(name, *(number(figure, 4) for figure in figures))
+        tables.append(table)
+    objects = read_objects(scans, points.is_valid)
+    if objects is None:
+        return tables
+    table = figure_table(
+        f"Tracks of {directory} against {truth.name}, per appearance (per person)",
+        "tracks",
+        *("MOTA", "IDF1", "HOTA", "ids", "position [m]", "velocity [m/s]", "NEES of 2"),
+        no_wrap=True,
+    )
+    online = read_track_columns(directory / "tracks_online.csv", (*TRACK_COLUMNS[:-1], *ONLINE_COLUMNS))
+    for name, rows, poses in (("online", online[:, :9], online[:, 10:]), ("final", run.tracks, None)):
+        if name == "online" and not (directory / "tracks_online.csv").exists():
+            continue
+        scores = evaluate_run_tracks(run.stamps, run.T_map_base, rows, objects, poses)
+        by_appearance, by_person = scores.appearance, scores.person
+        table.add_row(
+            name,
+            number(by_appearance.mota, 3),
+            f"{number(by_appearance.idf1, 3)} ({number(by_person.idf1, 3)})",
+            f"{number(by_appearance.hota, 3)} ({number(by_person.hota, 3)})",
+            f"{number(scores.ids_per_appearance, 2)} ({number(scores.ids_per_object, 2)})",
+            number(scores.position_rmse_m, 3),
+            number(scores.velocity_rmse_m_s, 3),
+            number(scores.nees, 2),
+        )
+    return [*tables, table]
 
 
 def compare_command(

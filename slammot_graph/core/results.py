@@ -14,6 +14,7 @@ from slammot_graph.core.findings import Finding
 from slammot_graph.core.log_info import LogInfo
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.tracked_object import TrackedObject
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 MatchStatus = Literal["converged", "degenerate", "failed"]
@@ -97,7 +98,7 @@ class TrackState:
 
 
 TRACK_COLUMNS = ("stamp", "id", "x", "y", "vx", "vy", "var_x", "cov_xy", "var_y", "scan_index")
-"""Columns of `RunResult.tracks`; ``tracks.csv`` holds all but the last."""
+"""Columns of `RunResult.tracks`; the files hold all but the last, and what `run_folder.tracks` adds."""
 
 EdgeKind = Literal["odometry", "match", "closure"]
 
@@ -275,7 +276,8 @@ class RunResult:
     moving_points : (m, 2) array [m]
         All points that move, by the final labels, map frame.
     tracks : (k, 10) array
-        The columns `TRACK_COLUMNS` [s, -, m, m, m/s, m/s, m^2, m^2, m^2, -], map frame.
+        The columns `TRACK_COLUMNS` [s, -, m, m, m/s, m/s, m^2, m^2, m^2, -], map frame: linked and smoothed after the
+        run where the tracker keeps its sightings, else those of the time.
     is_track_seen : (k,) bool array
         Whether beams of that scan were assigned to the track; else its row was only predicted.
     grid : GridMap
@@ -312,6 +314,13 @@ class RunResult:
         Calibration of the odometry against the matches.
     verdict : tuple of Finding
         What is wrong with the log or the run, the worst first; empty where nothing is.
+    tracks_online : (j, 10) array
+        The tracks as reported when each scan came, in the map of that time; identities of their own.
+    is_track_online_seen : (j,) bool array
+    T_map_base_online : (n, 3) array
+        Poses as estimated when each scan came.
+    objects : tuple of TrackedObject
+        What `tracks` follow, where the run tells.
     """
 
     method: str
@@ -346,6 +355,10 @@ class RunResult:
     health: Any = field(default_factory=lambda: np.empty(0, dtype="<U13"))
     odometry: OdometryReport = field(default_factory=OdometryReport)
     verdict: tuple[Finding, ...] = ()
+    tracks_online: FloatArray = field(default_factory=lambda: np.empty((0, 10)))
+    is_track_online_seen: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+    T_map_base_online: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    objects: tuple[TrackedObject, ...] = ()
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

@@ -14,10 +14,11 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection import reasons
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
-from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_moving
+from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_moving, packed_covariances
 from slammot_graph.detection.scan_history import ScanRecord
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
-from slammot_graph.tracking.base import Tracker
+from slammot_graph.tracking.base import ScanView, Tracker
+from slammot_graph.tracking.smoothing import SightingHistory
 
 
 def retrospective_labels(
@@ -64,6 +65,59 @@ def retrospective_labels(
         is_static = item.is_valid & ~labels[k]
         memory.update(now, ends[0], ends[1:], item.is_valid, is_static, labels[k])
     return labels
+
+
+def sightings_of_labels(
+    history: Sequence[ScanRecord],
+    T_map_base: FloatArray,
+    labels: Sequence[BoolArray],
+    *,
+    ellipse_test: EllipseTestConfig,
+    tracker: Tracker,
+    range_fraction: float,
+) -> FloatArray:
+    """Track once more, forward, what the final labels call moving: who was seen too late at the time is seen at once.
+
+    Parameters
+    ----------
+    history, T_map_base
+        As of `retrospective_labels`.
+    labels : n bool arrays
+    ellipse_test : EllipseTestConfig
+        The beams' noise.
+    tracker : Tracker
+        A new one.
+    range_fraction : float
+        From this share of the laser's `range_max` on, a range is no return.
+
+    Returns
+    -------
+    (m, 8) array
+        As of `SightingHistory.table`.
+    """
+    found = SightingHistory()
+    for k, (item, is_moving) in enumerate(zip(history, labels, strict=False)):
+        scan, T = item.scan, T_map_base[k]
+        view = ScanView(
+            points=scan.points(T),
+            packed_cov=packed_covariances(scan, T, item.cov_relative, ellipse_test),
+            cluster=np.where(is_moving, 0, -1),
+            is_proven=is_moving,
+            T_local_laser=se2.compose(T, np.array(scan.laser.T_base_laser)),
+            angle_min=scan.laser.angle_min,
+            angle_increment=scan.laser.angle_increment,
+            ranges=scan.ranges,
+            is_valid=item.is_valid,
+            is_no_return=scan.ranges >= range_fraction * scan.laser.range_max,
+        )
+        tracker.update(scan.stamp, _NO_CENTRES, _NO_COVS, (), None, view)
+        if tracker.sightings is not None:
+            found.add(k, tracker.sightings, T)
+    return found.table()
+
+
+_NO_CENTRES: FloatArray = np.empty((0, 2))
+_NO_COVS: FloatArray = np.empty((0, 2, 2))
 
 
 def _combine(item: ScanRecord, later: Detection, walks_later: BoolArray) -> BoolArray:

@@ -84,6 +84,13 @@ def end_point_covariances(
     -------
     (n, 2, 2) array [m^2].
     """
+    return unpack_covariances(packed_covariances(scan, T_a_base, cov_pose, config))
+
+
+def packed_covariances(
+    scan: Scan, T_a_base: FloatArray, cov_pose: FloatArray, config: EllipseTestConfig
+) -> FloatArray:
+    """(n, 3) rows xx, xy, yy [m^2] of `end_point_covariances`, whose parameters these are."""
     packed = np.empty((len(scan.ranges), 3))
     _kernels.end_point_covariances(
         scan.ranges,
@@ -95,7 +102,7 @@ def end_point_covariances(
         config.angle_std_rad,
         packed,
     )
-    return unpack_covariances(packed)
+    return packed
 
 
 def detect_moving(

@@ -21,6 +21,7 @@ from slammot_graph.evaluation.objects import (
     ObjectScores,
     TrueObjects,
     evaluate_objects,
+    evaluate_run_tracks,
     read_objects,
 )
 from slammot_graph.evaluation.points import (
@@ -92,6 +93,7 @@ __all__ = [
     "evaluate_objects",
     "evaluate_points",
     "evaluate_relations",
+    "evaluate_run_tracks",
     "evaluate_strata",
     "evaluate_tracks",
     "evaluate_truth",

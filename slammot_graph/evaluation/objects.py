@@ -15,6 +15,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.stamps import nearest_stamps
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.evaluation.tracks import TrackPoints, TrackScores, evaluate_tracks, match_tracks
 
@@ -213,6 +214,49 @@ def evaluate_objects(
         position_rmse_m=_rms(offset),
         velocity_rmse_m_s=_rms(estimate.velocities[of_estimate] - velocities[of_truth]),
         nees=_mean_nees(offset, estimate.covs[of_estimate]),
+    )
+
+
+def evaluate_run_tracks(
+    stamps: FloatArray,
+    T_map_base: FloatArray,
+    tracks: FloatArray,
+    truth: TrueObjects,
+    T_map_base_of_rows: FloatArray | None = None,
+) -> ObjectScores:
+    """Score the rows of a run's tracks.
+
+    Parameters
+    ----------
+    stamps, T_map_base : (n,) array [s], (n, 3) array
+        Scans and poses of the run.
+    tracks : (m, 9) array
+        The columns of ``tracks.csv``.
+    truth : TrueObjects
+    T_map_base_of_rows : (m, 3) array, optional
+        The robot's pose for each row, in place of `T_map_base`: as estimated when the row was.
+
+    Raises
+    ------
+    InputError
+        A row has the time of no scan.
+    """
+    frames = nearest_stamps(stamps, tracks[:, 0], 1e-4)
+    if (frames < 0).any():
+        raise InputError("tracks have times at which the run has no scan; were files of two runs mixed?")
+    poses = T_map_base.copy()
+    if T_map_base_of_rows is not None:
+        poses[frames] = T_map_base_of_rows
+    return evaluate_objects(
+        truth,
+        EstimatedTracks(
+            frames=frames,
+            ids=tracks[:, 1].astype(np.int64),
+            positions=tracks[:, 2:4],
+            velocities=tracks[:, 4:6],
+            covs=tracks[:, [6, 7, 7, 8]].reshape(-1, 2, 2),
+            T_map_base=poses,
+        ),
     )
 
 

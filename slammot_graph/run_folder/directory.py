@@ -11,6 +11,7 @@ RUN_FILES = (
     "trajectory.tum",
     "points.npz",
     "tracks.csv",
+    "tracks_online.csv",
     "map.pgm",
     "map.yaml",
     "graph.g2o",

@@ -1,4 +1,12 @@
-"""``tracks.csv``: a line for each moving object at each scan."""
+"""``tracks.csv`` and ``tracks_online.csv``: a line for each moving object at each scan.
+
+The columns of both: `stamp` [s], `id`, `x`, `y` [m], `vx`, `vy` [m/s] and the covariance `var_x`, `cov_xy`, `var_y`
+[m^2] of (x, y), map frame; `is_seen` (1: it was seen in that scan, 0: only predicted or interpolated). ``tracks.csv``
+holds the final tracks, linked and smoothed after the run, and also `class` (person, vehicle, unknown), its
+`probability` and `size` [m], the same in all lines of an id; empty where nothing is known. ``tracks_online.csv`` holds
+what was reported when each scan came, with identities of its own, and `base_x`, `base_y` [m], `base_yaw` [rad], where
+the robot was believed to be at that time: the map may have moved since.
+"""
 
 import csv
 import math
@@ -8,24 +16,52 @@ from pathlib import Path
 import numpy as np
 
 from slammot_graph.core.errors import InputError
-from slammot_graph.core.results import TRACK_COLUMNS
+from slammot_graph.core.results import TRACK_COLUMNS, RunResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.run_folder.atomic import write_text
 
 COLUMNS = TRACK_COLUMNS[:-1]
+OBJECT_COLUMNS = ("is_seen", "class", "probability", "size")
+ONLINE_COLUMNS = ("is_seen", "base_x", "base_y", "base_yaw")
 REQUIRED_COLUMNS = COLUMNS[:4]
 """What another program's file must have."""
 
 
-def write_tracks(path: Path, tracks: FloatArray) -> None:
-    """Write tracks, the columns `TRACK_COLUMNS` of which the last one is left out.
+def write_tracks(path: Path, result: RunResult) -> None:
+    """Write the final tracks of a run.
 
     Raises
     ------
     InputError
         The file cannot be written.
     """
-    write_text(path, _lines(tracks))
+    known = {one.track_id: one for one in result.objects}
+    ends: list[tuple[str, ...]] = []
+    for number, is_seen in zip(
+        result.tracks[:, 1].astype(np.int64).tolist(), result.is_track_seen, strict=True
+    ):
+        one = known.get(number)
+        told = (
+            ("unknown", "", "") if one is None else (one.kind, _number(one.probability), _number(one.size_m))
+        )
+        ends.append((str(int(is_seen)), *told))
+    write_text(path, _lines(result.tracks, OBJECT_COLUMNS, ends))
+
+
+def write_tracks_online(path: Path, result: RunResult) -> None:
+    """Write the tracks as reported when each scan came.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    rows = _scan_rows(result)
+    ends: list[tuple[str, ...]] = [
+        (str(int(is_seen)), *map(_number, result.T_map_base_online[row].tolist()))
+        for row, is_seen in zip(rows, result.is_track_online_seen.tolist(), strict=True)
+    ]
+    write_text(path, _lines(result.tracks_online, ONLINE_COLUMNS, ends))
 
 
 def read_tracks(path: Path) -> FloatArray:
@@ -36,21 +72,37 @@ def read_tracks(path: Path) -> FloatArray:
     InputError
         A line has something else than numbers in its columns, or a required column is missing.
     """
+    return read_track_columns(path, COLUMNS)
+
+
+def read_track_columns(path: Path, columns: tuple[str, ...]) -> FloatArray:
+    """Read columns of numbers (k, len(columns)); otherwise as `read_tracks`."""
     if not path.exists():
-        return np.zeros((0, len(COLUMNS)))
+        return np.zeros((0, len(columns)))
     rows: list[list[float]] = []
     try:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
             known = {*REQUIRED_COLUMNS, *(reader.fieldnames or ())}
-            rows.extend([float(row[x]) if x in known else math.nan for x in COLUMNS] for row in reader)
+            rows.extend([float(row[x]) if x in known else math.nan for x in columns] for row in reader)
     except (OSError, ValueError, KeyError, TypeError, csv.Error):
         place = f"{path}, line {len(rows) + 2}"
         raise InputError(f"{place}: expected numbers in the columns {', '.join(REQUIRED_COLUMNS)}") from None
-    return np.array(rows, dtype=np.float64).reshape(-1, len(COLUMNS))
+    return np.array(rows, dtype=np.float64).reshape(-1, len(columns))
 
 
-def _lines(tracks: FloatArray) -> Iterator[str]:
-    yield ",".join(COLUMNS)
-    for stamp, track_id, *numbers in tracks[:, : len(COLUMNS)].tolist():
-        yield ",".join([f"{stamp:.9f}", str(int(track_id)), *(f"{number:.9g}" for number in numbers)])
+def _scan_rows(result: RunResult) -> list[int]:
+    """The row of the scan of each online track: they were appended scan by scan."""
+    order = np.argsort(result.stamps, kind="stable")
+    at = np.searchsorted(result.stamps[order], result.tracks_online[:, 0])
+    return [int(row) for row in order[at.clip(0, max(len(order) - 1, 0))]]
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
+def _lines(tracks: FloatArray, more: tuple[str, ...], ends: list[tuple[str, ...]]) -> Iterator[str]:
+    yield ",".join((*COLUMNS, *more))
+    for (stamp, track_id, *numbers), end in zip(tracks[:, : len(COLUMNS)].tolist(), ends, strict=True):
+        yield ",".join([f"{stamp:.9f}", str(int(track_id)), *(f"{number:.9g}" for number in numbers), *end])

@@ -9,7 +9,7 @@ from slammot_graph.run_folder.g2o import write_graph
 from slammot_graph.run_folder.map_files import write_map
 from slammot_graph.run_folder.points import write_points
 from slammot_graph.run_folder.summary import write_summary
-from slammot_graph.run_folder.tracks import write_tracks
+from slammot_graph.run_folder.tracks import write_tracks, write_tracks_online
 from slammot_graph.run_folder.tum import write_trajectory
 
 
@@ -34,7 +34,8 @@ def write_run_folder(output: str | Path, result: RunResult) -> None:
         output.mkdir(parents=True, exist_ok=True)
     write_trajectory(output / "trajectory.tum", result.stamps, result.T_map_base)
     write_points(output / "points.npz", result)
-    write_tracks(output / "tracks.csv", result.tracks)
+    write_tracks(output / "tracks.csv", result)
+    write_tracks_online(output / "tracks_online.csv", result)
     write_map(output / "map.pgm", output / "map.yaml", result.grid)
     if len(result.nodes):
         write_graph(output / "graph.g2o", result.nodes, result.edges)

@@ -71,8 +71,31 @@ class ScanView:
     is_no_return: BoolArray
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sightings:
+    """What a tracker saw of its objects at one scan, m of them: places as measured, not as filtered.
+
+    Attributes
+    ----------
+    ids : (m,) int array
+    places : (m, 2) array [m]
+    covs : (m, 2, 2) array [m^2]
+    sizes_m : (m,) array
+        Extent of what was seen.
+    """
+
+    ids: IntArray
+    places: FloatArray
+    covs: FloatArray
+    sizes_m: FloatArray
+
+
 class Tracker(Protocol):
     """Follows the clusters of moving points from scan to scan."""
+
+    @property
+    def sightings(self) -> Sightings | None:
+        """What was seen at the latest scan; None of a tracker whose tracks are not smoothed after the run."""
 
     @property
     def tracks(self) -> list[Track]:

@@ -2,7 +2,8 @@
 
 from slammot_graph.tracking.base import Tracker
 from slammot_graph.tracking.no_tracking import NoTracking, NoTrackingConfig
-from slammot_graph.tracking.segment_tracker import SegmentTracker, SegmentTrackerConfig
+from slammot_graph.tracking.segment_config import SegmentTrackerConfig
+from slammot_graph.tracking.segment_tracker import SegmentTracker
 from slammot_graph.tracking.tracker import KalmanTracker, KalmanTrackerConfig
 
 TrackerConfig = NoTrackingConfig | KalmanTrackerConfig | SegmentTrackerConfig

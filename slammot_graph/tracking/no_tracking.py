@@ -22,6 +22,10 @@ class NoTracking:
         """See `Tracker`; there are none."""
         return []
 
+    @property
+    def sightings(self) -> None:
+        """See `Tracker`; they are not kept."""
+
     def predicted_positions(self, stamp_s: float) -> FloatArray:
         """See `Tracker`."""
         return np.empty((0, 2))

@@ -2,88 +2,21 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
 from slammot_graph.tracking import _segment_kernels as _kernels
-from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking import _sight_kernels as _sight
+from slammot_graph.tracking.base import ScanView, Sightings, Track
+from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.track_table import Tracks
 
 _NO_BEAMS: IntArray = np.empty(0, dtype=np.int64)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SegmentTrackerConfig(Checked):
-    """Motion and measurement noise of the tracks, what belongs to one body, and when tracks begin, show and end.
-
-    Attributes
-    ----------
-    acceleration_std_m_s2 : float
-        White-noise acceleration of a walking person.
-    leg_std_m : float
-        Of one leg as a measurement of the person's centre.
-    body_std_m : float
-        The same of both legs, or of a trunk.
-    start_speed_std_m_s : float
-    gate : float
-        Largest squared Mahalanobis distance of a segment to a track (9.21: 99% for two dimensions).
-    max_jump_m : float
-        Nor is a segment farther than this from where a track was predicted.
-    segment_gap_m : float
-        Neighbouring beams farther apart belong to different segments.
-    standing_reach_m, standing_gap_m, standing_speed_m_s : float
-        Points this near to a slow object that has displaced are its own, if nothing else is within the gap beside them.
-    leg_width_m : float
-        A wider segment is more than a leg.
-    body_m : float
-        Segments this near to each other may be one body.
-    apart_m : float
-        What is nearer than this to an object that is followed begins no track.
-    twin_m, max_twin_s : float
-        Two tracks nearer than this for this long follow one object: the younger one ends.
-    n_confirm : int
-        Sightings needed before a track is reported.
-    shown_s : float
-        A track is reported up to this long after a sighting, unless the laser sees through it.
-    max_empty_s : float
-        A track ends when the laser has seen through its place for this long.
-    max_unproven_s : float
-        A track ends when no beam on free cells was among its sightings for this long: what is taken for an object since
-        one is expected there must not keep that expectation alive.
-    min_unproven_points : int
-        A sighting of fewer points, none of them on free cells, is none.
-    max_missed_s : float
-        A track ends after this long without a sighting, where it is occluded or out of view.
-    min_distance_m : float
-        An object has displaced once it was this far from where it was first seen.
-    """
-
-    acceleration_std_m_s2: Positive = 1.5
-    leg_std_m: Positive = 0.15
-    body_std_m: Positive = 0.06
-    start_speed_std_m_s: Positive = 1.0
-    gate: Positive = 9.21
-    max_jump_m: Positive = 1.5
-    segment_gap_m: Positive = 0.1
-    standing_reach_m: Positive = 0.35
-    standing_gap_m: Positive = 0.15
-    standing_speed_m_s: Positive = 0.5
-    leg_width_m: Positive = 0.25
-    body_m: Positive = 0.5
-    apart_m: NotNegative = 0.7
-    twin_m: Positive = 0.5
-    max_twin_s: Positive = 1.0
-    n_confirm: Count = 3
-    shown_s: Positive = 0.35
-    max_empty_s: Positive = 0.6
-    max_unproven_s: Positive = 1.0
-    min_unproven_points: Count = 3
-    max_missed_s: Positive = 3.0
-    min_distance_m: Positive = 1.0
+_NO_SIGHTINGS = Sightings(
+    ids=_NO_BEAMS, places=np.empty((0, 2)), covs=np.empty((0, 2, 2)), sizes_m=np.empty(0)
+)
 
 
 class SegmentTracker:
@@ -95,6 +28,7 @@ class SegmentTracker:
         self._beams: dict[int, IntArray] = {}
         self._stamp_s: float | None = None
         self._next_id = 0
+        self.sightings = _NO_SIGHTINGS
 
     @property
     def tracks(self) -> list[Track]:
@@ -127,7 +61,7 @@ class SegmentTracker:
         stamp_s : float
             A stamp that runs backward counts as no time passed.
         centres, centre_covs, beams, is_proven
-            See `Tracker`; without a view each cluster is one segment.
+            See `Tracker`; without a view each cluster is one segment, with one they are not looked at.
         view : ScanView, optional
             The scan itself: its segments, and what the laser sees where no object was found.
 
@@ -137,8 +71,9 @@ class SegmentTracker:
         """
         config = self.config
         dt = self._advance(stamp_s)
+        self.sightings = _NO_SIGHTINGS
         tracks = self._tracks
-        if not len(tracks) and not len(centres):
+        if not len(tracks) and not (len(centres) if view is None else (view.cluster >= 0).any()):
             return []
         table, segment = _segments(centres, centre_covs, beams, is_proven, view, self._standing(), config)
         n = len(tracks)
@@ -205,6 +140,7 @@ class SegmentTracker:
             owner,
         )
         places, noise, n_joined = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, dtype=np.int64)
+        sizes = np.empty(n)
         _kernels.measure(
             table,
             owner,
@@ -214,22 +150,27 @@ class SegmentTracker:
             places,
             noise,
             n_joined,
+            sizes,
         )
         _kernels.drop_weak(table, owner, config.min_unproven_points, primary, n_joined)
         of = np.where(n_joined > 0, np.arange(n), -1)
         _track_kernels.correct(tracks.states, tracks.covs, places, noise, of)
+        seen = of >= 0
+        self.sightings = Sightings(
+            ids=tracks.ids[seen], places=places[seen], covs=noise[seen], sizes_m=sizes[seen]
+        )
         return owner, primary
 
     def _look(self, view: ScanView | None, is_hit: BoolArray, dt: float) -> None:
         """Note what the laser sees where a track was not sighted."""
         tracks = self._tracks
-        tracks.sight[:] = _kernels.PRESENT
+        tracks.sight[:] = _sight.PRESENT
         missed = np.flatnonzero(~is_hit)
         if view is None:
-            tracks.sight[missed] = _kernels.EMPTY
+            tracks.sight[missed] = _sight.EMPTY
         elif len(missed):
             sight = np.empty(len(missed), dtype=np.int64)
-            _kernels.sight_at(
+            _sight.sight_at(
                 tracks.states[missed],
                 view.T_local_laser,
                 view.angle_min,
@@ -241,7 +182,7 @@ class SegmentTracker:
                 sight,
             )
             tracks.sight[missed] = sight
-        is_empty = tracks.sight == _kernels.EMPTY
+        is_empty = tracks.sight == _sight.EMPTY
         tracks.empty_s[:] = np.where(is_hit, 0.0, tracks.empty_s + np.where(is_empty, dt, 0.0))
 
     def _is_ended(self) -> BoolArray:
@@ -304,19 +245,27 @@ class SegmentTracker:
         owner = np.zeros(len(rows), dtype=np.int64)
         config = self.config
         place, noise, n_joined = np.empty((1, 2)), np.empty((1, 2, 2)), np.empty(1, dtype=np.int64)
+        size = np.empty(1)
         leg, body = config.leg_std_m**2, config.body_std_m**2
-        _kernels.measure(rows, owner, config.leg_width_m, leg, body, place, noise, n_joined)
+        _kernels.measure(rows, owner, config.leg_width_m, leg, body, place, noise, n_joined, size)
         cov = np.zeros((4, 4))
         cov[:2, :2] = noise[0]
         cov[2, 2] = cov[3, 3] = config.start_speed_std_m_s**2
         self._tracks = self._tracks.with_new(self._next_id, place[0], cov)
         self._beams[self._next_id] = beams
+        before = self.sightings
+        self.sightings = Sightings(
+            ids=np.append(before.ids, self._next_id),
+            places=np.concatenate([before.places, place]),
+            covs=np.concatenate([before.covs, noise]),
+            sizes_m=np.append(before.sizes_m, size),
+        )
         self._next_id += 1
 
     def _shown(self) -> BoolArray:
         config, tracks = self.config, self._tracks
         is_known = (tracks.n_hits >= config.n_confirm) & (tracks.missed_s <= config.shown_s)
-        return np.asarray(is_known & (tracks.sight != _kernels.EMPTY))
+        return np.asarray(is_known & (tracks.sight != _sight.EMPTY))
 
     def _displaced(self) -> BoolArray:
         tracks = self._tracks
@@ -361,7 +310,7 @@ def _segments(
     segment, cluster = np.full(n, -1), view.cluster
     if len(standing):
         cluster = np.empty(n, dtype=np.int64)
-        is_any = _kernels.find_standing(
+        is_any = _sight.find_standing(
             view.points,
             view.is_valid,
             view.cluster,
@@ -370,7 +319,7 @@ def _segments(
             config.standing_gap_m,
             cluster,
         )
-    if not (len(standing) and is_any) and not len(centres):
+    if not (len(standing) and is_any) and not (view.cluster >= 0).any():
         return np.empty((0, 8)), segment
     table = np.empty((n, 8))
     x, y, _ = view.T_local_laser.tolist()

@@ -75,7 +75,7 @@ class Tracks:
 
     def with_new(self, number: int, place: FloatArray, cov: FloatArray) -> "Tracks":
         """Add one that was first seen at a place (2,), standing, with a covariance (4, 4)."""
-        one = {
+        one: dict[str, FloatArray | int] = {
             "states": np.array([place[0], place[1], 0.0, 0.0]),
             "covs": cov,
             "starts": place,

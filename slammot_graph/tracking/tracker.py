@@ -52,6 +52,10 @@ class KalmanTracker:
         self._next_id = 0
         self._centre_cov = config.centre_std_m**2 * np.eye(2)
 
+    @property
+    def sightings(self) -> None:
+        """See `Tracker`; they are not kept."""
+
     def predicted_positions(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
         dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)

@@ -30,6 +30,7 @@ from slammot_graph.run_folder import directory
 from slammot_graph.run_folder.reader import read_run_folder
 from slammot_graph.run_folder.tum import read_trajectory
 from slammot_graph.simulation import SCENARIOS
+from tests.walkers import write_walkers
 
 N_SCANS = 12
 RUN_FILES = set(directory.RUN_FILES) - {"run.rrd"}
@@ -358,6 +359,28 @@ def test_a_simulated_log_is_a_true_trajectory(
     code, out, _ = run(capsys, "evaluate", tmp_path / "out", "--truth", log)
     assert code == 0
     assert table_rows(out)["position [m]"] == str(N_SCANS)
+
+
+def test_points_and_tracks_of_a_simulated_log_are_evaluated(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    walkers = write_walkers(tmp_path / "walkers.npz", 80)
+    run(capsys, "run", walkers, "--output", tmp_path / "out", "--rerun", "off")
+    code, out, err = run(capsys, "evaluate", tmp_path / "out", "--truth", walkers)
+    assert (code, err) == (0, "")
+    assert [line for line in out.splitlines() if "Moving points of" in line or "Tracks of" in line]
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "final" in line]
+    points, tracks = rows
+    assert float(points[1]) > 0.9
+    assert float(tracks[1]) > 0.8
+    assert float(tracks[5]) < 0.1
+    other = tmp_path / "other.npz"
+    arrays = dict(np.load(walkers))
+    np.savez(other, **{**arrays, "stamps": arrays["stamps"] + np.arange(80) % 2 * 0.005})
+    code, out, err = run(capsys, "evaluate", tmp_path / "out", "--truth", other)
+    assert code == 0
+    assert "other.npz has other scans than the run: its points and tracks are not judged" in err
+    assert "Tracks of" not in out
 
 
 def test_demo_compares_the_methods(

@@ -23,6 +23,7 @@ FILES = {
     "trajectory.tum",
     "points.npz",
     "tracks.csv",
+    "tracks_online.csv",
     "map.pgm",
     "map.yaml",
     "graph.g2o",
@@ -74,10 +75,25 @@ def test_points_are_read_back(folder: Path) -> None:
 
 def test_tracks_have_their_header_and_columns(folder: Path) -> None:
     lines = (folder / "tracks.csv").read_text().splitlines()
-    assert lines[0] == "stamp,id,x,y,vx,vy,var_x,cov_xy,var_y"
+    assert lines[0] == "stamp,id,x,y,vx,vy,var_x,cov_xy,var_y,is_seen,class,probability,size"
     assert len(lines) == 1 + len(result().tracks)
+    cells = [line.split(",") for line in lines[1:]]
+    values = np.array([[float(v) for v in row[:10]] for row in cells])
+    np.testing.assert_allclose(values[:, :9], result().tracks[:, :9], rtol=1e-7, atol=1e-7)
+    assert values[:, 9].tolist() == result().is_track_seen.tolist()
+    of = {str(one.track_id): one for one in result().objects}
+    assert len(of) > 0
+    assert all(of[row[1]].kind == row[10] for row in cells)
+    assert float(cells[0][12]) == pytest.approx(of[cells[0][1]].size_m)
+
+
+def test_tracks_of_the_time_tell_where_the_robot_was_believed_to_be(folder: Path) -> None:
+    lines = (folder / "tracks_online.csv").read_text().splitlines()
+    assert lines[0].split(",")[9:] == ["is_seen", "base_x", "base_y", "base_yaw"]
     values = np.array([[float(v) for v in line.split(",")] for line in lines[1:]])
-    np.testing.assert_allclose(values, result().tracks[:, :9], rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(values[:, :9], result().tracks_online[:, :9], rtol=1e-7, atol=1e-7)
+    rows = np.searchsorted(result().stamps, values[:, 0] - 1e-6)
+    np.testing.assert_allclose(values[:, 10:], result().T_map_base_online[rows], rtol=1e-7, atol=1e-7)
 
 
 def test_the_map_is_upside_up(tmp_path: Path) -> None:

@@ -1,0 +1,79 @@
+"""Configuration of the tracker of people."""
+
+from dataclasses import dataclass, field
+
+from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
+from slammot_graph.tracking.smoothing import SmoothingConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentTrackerConfig(Checked):
+    """Motion and measurement noise of the tracks, what belongs to one body, and when tracks begin, show and end.
+
+    Attributes
+    ----------
+    acceleration_std_m_s2 : float
+        White-noise acceleration of a walking person.
+    leg_std_m : float
+        Of one leg as a measurement of the person's centre.
+    body_std_m : float
+        The same of both legs, or of a trunk.
+    start_speed_std_m_s : float
+    gate : float
+        Largest squared Mahalanobis distance of a segment to a track (9.21: 99% for two dimensions).
+    max_jump_m : float
+        Nor is a segment farther than this from where a track was predicted.
+    segment_gap_m : float
+        Neighbouring beams farther apart belong to different segments.
+    standing_reach_m, standing_gap_m, standing_speed_m_s : float
+        Points this near to a slow object that has displaced are its own, if nothing else is within the gap beside them.
+    leg_width_m : float
+        A wider segment is more than a leg.
+    body_m : float
+        Segments this near to each other may be one body.
+    apart_m : float
+        What is nearer than this to an object that is followed begins no track.
+    twin_m, max_twin_s : float
+        Two tracks nearer than this for this long follow one object: the younger one ends.
+    n_confirm : int
+        Sightings needed before a track is reported.
+    shown_s : float
+        A track is reported up to this long after a sighting, unless the laser sees through it.
+    max_empty_s : float
+        A track ends when the laser has seen through its place for this long.
+    max_unproven_s : float
+        A track ends when no beam on free cells was among its sightings for this long: what is taken for an object since
+        one is expected there must not keep that expectation alive.
+    min_unproven_points : int
+        A sighting of fewer points, none of them on free cells, is none.
+    max_missed_s : float
+        A track ends after this long without a sighting, where it is occluded or out of view.
+    min_distance_m : float
+        An object has displaced once it was this far from where it was first seen.
+    smoothing : SmoothingConfig or None
+        None: the tracks of the time are the final ones.
+    """
+
+    acceleration_std_m_s2: Positive = 1.5
+    leg_std_m: Positive = 0.15
+    body_std_m: Positive = 0.06
+    start_speed_std_m_s: Positive = 1.0
+    gate: Positive = 9.21
+    max_jump_m: Positive = 1.5
+    segment_gap_m: Positive = 0.1
+    standing_reach_m: Positive = 0.35
+    standing_gap_m: Positive = 0.15
+    standing_speed_m_s: Positive = 0.5
+    leg_width_m: Positive = 0.25
+    body_m: Positive = 0.5
+    apart_m: NotNegative = 0.7
+    twin_m: Positive = 0.5
+    max_twin_s: Positive = 1.0
+    n_confirm: Count = 3
+    shown_s: Positive = 0.35
+    max_empty_s: Positive = 0.6
+    max_unproven_s: Positive = 1.0
+    min_unproven_points: Count = 3
+    max_missed_s: Positive = 3.0
+    min_distance_m: Positive = 1.0
+    smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)

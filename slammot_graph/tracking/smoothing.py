@@ -1,0 +1,272 @@
+"""Tracks after the run: tracklets linked across absences, smoothed, and carried to the optimised poses.
+
+Each sighting of the time is kept relative to the robot, so that loop closures move it with the robot's pose.
+Tracklets are linked by an assignment of least cost: the end of one, carried forward, and the begin of another must
+agree in place and velocity. A chain is smoothed with a constant velocity that accelerations change (Rauch, Tung and
+Striebel 1965), and once more with sightings that it contradicts weighed down.
+"""
+
+import math
+from array import array
+from dataclasses import dataclass
+
+import numpy as np
+
+from slammot_graph.core import se2
+from slammot_graph.core.checks import Checked, Count, Positive
+from slammot_graph.core.tracked_object import ObjectKind, TrackedObject
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking import _kernels as _track_kernels
+from slammot_graph.tracking import _smoothing_kernels as _kernels
+from slammot_graph.tracking.base import Sightings
+
+PERSON_SIZE_M = 0.9
+"""What is larger than this most of the time is no person."""
+
+MIN_SIGHTINGS_OF_KIND = 10
+"""With fewer sightings the kind is unknown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothingConfig(Checked):
+    """How tracklets are linked and smoothed after the run.
+
+    Attributes
+    ----------
+    acceleration_std_m_s2 : float
+        White-noise acceleration.
+    noise_factor : float
+        On the covariances of the sightings, whose errors last for several scans.
+    start_speed_std_m_s : float
+    min_sightings : int
+        Shorter chains are left out.
+    max_absence_s : float
+        Tracklets farther apart in time are not linked.
+    twin_m : float
+        A chain that is nearer than this to a longer one most of the time follows the same object.
+    gate : float
+        Largest squared Mahalanobis distance of a link (13.28: 99% for four dimensions).
+    """
+
+    acceleration_std_m_s2: Positive = 1.5
+    noise_factor: Positive = 2.0
+    start_speed_std_m_s: Positive = 1.0
+    min_sightings: Count = 5
+    max_absence_s: Positive = 3.0
+    twin_m: Positive = 0.5
+    gate: Positive = 13.28
+
+
+class SightingHistory:
+    """All sightings of a run, relative to the robot: 8 numbers each."""
+
+    def __init__(self) -> None:
+        self._rows = array("d")
+
+    def add(self, scan: int, sightings: Sightings, T_local_base: FloatArray) -> None:
+        """Take in the sightings at the scan of this number, at which the base lay at (3,) in the local frame."""
+        if not len(sightings.ids):
+            return
+        T_base_local = se2.inverse(T_local_base)
+        places = se2.transform(T_base_local, sightings.places)
+        R = se2.rotation(T_base_local[2])
+        covs = R @ sightings.covs @ R.T
+        for number, place, cov, size in zip(sightings.ids, places, covs, sightings.sizes_m, strict=True):
+            self._rows.extend((scan, number, *place, cov[0, 0], cov[0, 1], cov[1, 1], size))
+
+    def table(self) -> FloatArray:
+        """(m, 8) scan number, track, x, y [m], xx, xy, yy [m^2] in the base frame, size [m]."""
+        return np.array(self._rows, dtype=np.float64).reshape(-1, 8)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SmoothedTracks:
+    """The tracks of a run, m rows by identity and scan.
+
+    Attributes
+    ----------
+    scans, ids : (m,) int arrays
+        Number of the scan, identity.
+    states : (m, 4) array
+        x, y, vx, vy [m, m/s], map frame.
+    covs : (m, 2, 2) array [m^2]
+        Of the positions.
+    is_seen : (m,) bool array
+    objects : tuple of TrackedObject
+    """
+
+    scans: IntArray
+    ids: IntArray
+    states: FloatArray
+    covs: FloatArray
+    is_seen: BoolArray
+    objects: tuple[TrackedObject, ...]
+
+
+@dataclass(eq=False)
+class _Chain:
+    """Sightings of one object in the map, in the order of the scans."""
+
+    scans: IntArray
+    places: FloatArray
+    covs: FloatArray
+    sizes: FloatArray
+
+    def smoothed(
+        self, scans: IntArray, stamps: FloatArray, config: SmoothingConfig
+    ) -> tuple[FloatArray, FloatArray]:
+        """States (n, 4) and covariances (n, 4, 4) at some scans, the first and last of which are sightings."""
+        n = len(scans)
+        at = np.searchsorted(scans, self.scans)
+        is_seen, places, noise = np.zeros(n, dtype=np.bool_), np.zeros((n, 2)), np.zeros((n, 2, 2))
+        is_seen[at], places[at], noise[at] = True, self.places, config.noise_factor * self.covs
+        states, covs = np.empty((n, 4)), np.empty((n, 4, 4))
+        times = stamps[scans]
+        for _ in range(2):
+            _kernels.smooth(
+                times,
+                is_seen,
+                places,
+                noise,
+                config.acceleration_std_m_s2,
+                config.start_speed_std_m_s,
+                states,
+                covs,
+            )
+            offset = self.places - states[at, :2]
+            distance2 = np.einsum("mi,mi->m", offset, np.linalg.solve(noise[at], offset[..., None])[..., 0])
+            noise[at] *= np.maximum(1.0, distance2 / 4.0)[:, None, None]
+        return states, covs
+
+
+def smooth_tracks(
+    sightings: FloatArray, stamps: FloatArray, T_map_base: FloatArray, config: SmoothingConfig
+) -> SmoothedTracks:
+    """Link and smooth the tracks of a run.
+
+    Parameters
+    ----------
+    sightings : (m, 8) array
+        As of `SightingHistory.table`.
+    stamps : (n,) array [s]
+        Of the scans.
+    T_map_base : (n, 3) array
+        Their optimised poses.
+    config : SmoothingConfig
+    """
+    tracklets = _tracklets(sightings, T_map_base)
+    chains = _linked([one for one in tracklets if len(one.scans) >= 3], stamps, config)
+    kept = [chain for chain in chains if len(chain.scans) >= config.min_sightings]
+    kept.sort(key=lambda chain: int(chain.scans[0]))
+    kept = _without_twins(kept, config.twin_m)
+    scans, ids, states, covs, is_seen = [], [], [], [], []
+    for number, chain in enumerate(kept):
+        every = np.arange(chain.scans[0], chain.scans[-1] + 1)
+        state, cov = chain.smoothed(every, stamps, config)
+        scans.append(every)
+        ids.append(np.full(len(every), number))
+        states.append(state)
+        covs.append(cov[:, :2, :2])
+        is_seen.append(np.isin(every, chain.scans))
+    return SmoothedTracks(
+        scans=np.concatenate([np.empty(0, dtype=np.int64), *scans]),
+        ids=np.concatenate([np.empty(0, dtype=np.int64), *ids]),
+        states=np.concatenate([np.empty((0, 4)), *states]),
+        covs=np.concatenate([np.empty((0, 2, 2)), *covs]),
+        is_seen=np.concatenate([np.empty(0, dtype=np.bool_), *is_seen]),
+        objects=tuple(_object(number, chain) for number, chain in enumerate(kept)),
+    )
+
+
+def _without_twins(chains: list[_Chain], twin_m: float) -> list[_Chain]:
+    """Leave out chains that mostly lie on a longer one: the other leg of the same person."""
+    kept: list[_Chain] = []
+    for chain in sorted(chains, key=lambda one: -len(one.scans)):
+        is_covered = np.zeros(len(chain.scans), dtype=np.bool_)
+        for other in kept:
+            at = np.searchsorted(other.scans, chain.scans).clip(0, len(other.scans) - 1)
+            offset = other.places[at] - chain.places
+            is_near = np.hypot(offset[:, 0], offset[:, 1]) < twin_m
+            is_covered |= is_near & (np.abs(other.scans[at] - chain.scans) <= 3)
+        if 2 * np.count_nonzero(is_covered) <= len(chain.scans):
+            kept.append(chain)
+    return sorted(kept, key=lambda one: int(one.scans[0]))
+
+
+def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[_Chain]:
+    """The tracks of the time, in the map."""
+    rows = sightings[sightings[:, 0] < len(T_map_base)]
+    scans = rows[:, 0].astype(np.int64)
+    T = T_map_base[scans]
+    c, s = np.cos(T[:, 2]), np.sin(T[:, 2])
+    R = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    places = np.einsum("mij,mj->mi", R, rows[:, 2:4]) + T[:, :2]
+    covs = R @ rows[:, [4, 5, 5, 6]].reshape(-1, 2, 2) @ R.transpose(0, 2, 1)
+    found = []
+    for number in np.unique(rows[:, 1]):
+        own = np.flatnonzero(rows[:, 1] == number)
+        found.append(_Chain(scans=scans[own], places=places[own], covs=covs[own], sizes=rows[own, 7]))
+    return found
+
+
+def _linked(tracklets: list[_Chain], stamps: FloatArray, config: SmoothingConfig) -> list[_Chain]:
+    """Join tracklets into chains: each has one successor at most, of least total cost."""
+    from scipy.optimize import linear_sum_assignment
+
+    n = len(tracklets)
+    if n < 2:
+        return tracklets
+    ends = [one.smoothed(one.scans, stamps, config) for one in tracklets]
+    cost = np.full((n, n), _track_kernels.OUTSIDE)
+    starts_s = np.array([stamps[one.scans[0]] for one in tracklets])
+    for i, one in enumerate(tracklets):
+        end_s = stamps[one.scans[-1]]
+        for j in np.flatnonzero((starts_s > end_s) & (starts_s <= end_s + config.max_absence_s)).tolist():
+            cost[i, j] = _link_cost(ends[i], ends[j], starts_s[j] - end_s, config)
+    following = np.full(n, -1)
+    for i, j in np.column_stack(linear_sum_assignment(cost)).tolist():
+        if cost[i, j] < _track_kernels.OUTSIDE:
+            following[i] = j
+    chains = []
+    for first in np.flatnonzero(~np.isin(np.arange(n), following)).tolist():
+        members = [first]
+        while following[members[-1]] >= 0:
+            members.append(int(following[members[-1]]))
+        parts = [tracklets[k] for k in members]
+        chains.append(
+            _Chain(
+                **{name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
+            )
+        )
+    return chains
+
+
+def _link_cost(
+    end: tuple[FloatArray, FloatArray],
+    start: tuple[FloatArray, FloatArray],
+    dt: float,
+    config: SmoothingConfig,
+) -> float:
+    """``d2 + ln det S`` of the begin of a tracklet against the end of another, `dt` [s] before."""
+    state, cov = end[0][-1:].copy(), end[1][-1:].copy()
+    _track_kernels.predict(state, cov, dt, config.acceleration_std_m_s2)
+    S = cov[0] + start[1][0]
+    offset = start[0][0] - state[0]
+    distance2 = float(offset @ np.linalg.solve(S, offset))
+    return distance2 + float(np.linalg.slogdet(S)[1]) if distance2 <= config.gate else _track_kernels.OUTSIDE
+
+
+def _object(number: int, chain: _Chain) -> TrackedObject:
+    """Say what it is by its size at most of its sightings; the probability is that of the share that fits."""
+    n = len(chain.sizes)
+    n_fit = int(np.count_nonzero(chain.sizes <= PERSON_SIZE_M))
+    p_person = (n_fit + 1.0) / (n + 2.0)
+    kind: ObjectKind = "person" if p_person >= 0.5 else "vehicle"
+    if n < MIN_SIGHTINGS_OF_KIND:
+        kind = "unknown"
+    return TrackedObject(
+        track_id=number,
+        kind=kind,
+        probability=math.nan if kind == "unknown" else max(p_person, 1.0 - p_person),
+        size_m=float(np.quantile(chain.sizes, 0.9)),
+    )
