@@ -16,7 +16,7 @@ from slammot_graph.detection.backward_pass import sightings_of_labels
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
-from slammot_graph.detection.reasons import FREE, VACATED
+from slammot_graph.detection.reasons import FREE
 from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.factory import make_localizer
@@ -263,7 +263,7 @@ class Pipeline:
             points=points,
             packed_cov=detection.packed_cov,
             cluster=detection.cluster,
-            is_proven=(detection.reason == FREE) | (detection.reason == VACATED),
+            is_proven=detection.reason == FREE,
             T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
             angle_min=scan.laser.angle_min,
             angle_increment=scan.laser.angle_increment,

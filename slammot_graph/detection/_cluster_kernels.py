@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection.reasons import ABSTAINED, DISCARDED, FREE, TRACKED, UNKNOWN, VACATED
+from slammot_graph.detection.reasons import ABSTAINED, DISCARDED, FREE, OCCUPIED, TRACKED, UNKNOWN, VACATED
 
 
 @kernel
@@ -150,9 +150,13 @@ def find_clusters(
 
 @kernel
 def near_places(
-    points: FloatArray, reason: IntArray, places: FloatArray, reach: float, out: BoolArray
+    points: FloatArray, reason: IntArray, places: FloatArray, reach: float, leave_parts: bool, out: BoolArray
 ) -> bool:
-    """Mark in `out` the UNKNOWN or DISCARDED points within `reach` [m] of a place (k, 2); tell whether there is one."""
+    """Mark in `out` the UNKNOWN or DISCARDED points within `reach` [m] of a place (k, 2); tell whether there is one.
+
+    With `leave_parts` runs of such points that go on in what does not move are left out: where a tracked object is
+    expected stands a wall that it uncovers, or a part of the furniture.
+    """
     is_any = False
     for k in range(points.shape[0]):
         out[k] = False
@@ -163,7 +167,37 @@ def near_places(
                 out[k] = True
                 is_any = True
                 break
+    if not (is_any and leave_parts):
+        return is_any
+    is_any = False
+    first = -1
+    n = points.shape[0]
+    for k in range(n + 1):
+        if k < n and out[k]:
+            first = k if first < 0 else first
+            continue
+        if first < 0:
+            continue
+        is_part = _goes_on(points, reason, first, first - 1) or _goes_on(points, reason, k - 1, k)
+        for m in range(first, k):
+            out[m] = not is_part
+        is_any = is_any or not is_part
+        first = -1
     return is_any
+
+
+ATTACHED_M = 0.15
+"""A neighbouring beam that ends this near belongs to the same thing."""
+
+
+@kernel
+def _goes_on(points: FloatArray, reason: IntArray, k: int, other: int) -> bool:
+    """Whether the thing that beam `k` hit goes on at the beam beside it, which does not move."""
+    if not 0 <= other < points.shape[0] or (reason[other] != UNKNOWN and reason[other] != OCCUPIED):
+        return False
+    dx = points[k, 0] - points[other, 0]
+    dy = points[k, 1] - points[other, 1]
+    return bool(dx * dx + dy * dy < ATTACHED_M * ATTACHED_M)
 
 
 @kernel
@@ -209,7 +243,11 @@ def group_moving(
             if hint == 0
             else (expected, expected_reach, TRACKED, 1)
         )
-        if places.shape[0] == 0 or reach <= 0.0 or not near_places(points, reason, places, reach, is_near):
+        if (
+            places.shape[0] == 0
+            or reach <= 0.0
+            or not near_places(points, reason, places, reach, hint == 1, is_near)
+        ):
             continue
         for k in range(n):
             is_moving[k] = is_moving[k] or is_near[k]

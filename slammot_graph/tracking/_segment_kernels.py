@@ -247,6 +247,59 @@ def drop_weak(
 
 
 @kernel
+def beams_by_track(segment: IntArray, owner: IntArray, starts: IntArray, beams: IntArray) -> None:
+    """Fill `beams` with those of track 0, of track 1 and so on: of track t from ``starts[t]`` to ``starts[t + 1]``."""
+    starts[:] = 0
+    for k in range(segment.shape[0]):
+        if segment[k] >= 0 and owner[segment[k]] >= 0:
+            starts[owner[segment[k]] + 1] += 1
+    for t in range(starts.shape[0] - 1):
+        starts[t + 1] += starts[t]
+    filled = starts[:-1].copy()
+    for k in range(segment.shape[0]):
+        if segment[k] >= 0 and owner[segment[k]] >= 0:
+            t = owner[segment[k]]
+            beams[filled[t]] = k
+            filled[t] += 1
+
+
+@kernel
+def find_twins(
+    states: FloatArray,
+    is_hit: BoolArray,
+    dt: float,
+    apart: float,
+    body: float,
+    twin: float,
+    max_twin_s: float,
+    n_alone: IntArray,
+    twin_s: FloatArray,
+    is_twin: BoolArray,
+) -> None:
+    """Mark in `is_twin` (n,) the tracks on the place of an older one, which comes first.
+
+    A track is one within `body` [m] of another if it had fewer than 5 sightings `apart` [m] from all others (counted in
+    `n_alone`), or has been within `twin` [m] for more than `max_twin_s` (in `twin_s`, which runs back where it is not).
+    """
+    n = states.shape[0]
+    for j in range(n):
+        nearest = np.inf
+        shares = False
+        is_twin[j] = False
+        for i in range(n):
+            if i == j:
+                continue
+            distance = math.hypot(states[i, 0] - states[j, 0], states[i, 1] - states[j, 1])
+            nearest = min(nearest, distance)
+            if i < j and distance < body and not is_twin[i]:
+                shares = shares or distance < twin
+                is_twin[j] = is_twin[j] or twin_s[j] > max_twin_s or n_alone[j] < 5
+        if is_hit[j] and nearest > apart:
+            n_alone[j] += 1
+        twin_s[j] = max(twin_s[j] + (dt if shares else -dt), 0.0)
+
+
+@kernel
 def group_unowned(table: FloatArray, is_unowned: BoolArray, gap: float, group: IntArray) -> int:
     """Group the segments that no track owns by distance; fills `group` (k,), -1 for owned; returns their number."""
     n_groups = 0

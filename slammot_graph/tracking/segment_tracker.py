@@ -84,15 +84,7 @@ class SegmentTracker:
         n_proven = np.bincount(owner[owner >= 0], weights=table[owner >= 0, _kernels.N_PROVEN], minlength=n)
         tracks.unproven_s[:] = np.where(n_proven > 0, 0.0, tracks.unproven_s + np.where(is_hit, dt, 0.0))
         self._look(view, is_hit, dt)
-        self._beams = {}
-        if len(table):
-            of_beam = np.where(segment >= 0, owner[segment], -1) if view is not None else None
-            for t in np.flatnonzero(is_hit).tolist():
-                if of_beam is not None:
-                    own = np.flatnonzero(of_beam == t)
-                else:
-                    own = np.concatenate([beams[s] for s in np.flatnonzero(owner == t).tolist()])
-                self._beams[int(tracks.ids[t])] = own
+        self._beams = self._beams_of_tracks(owner, segment, beams, view)
         offset = tracks.states[:, :2] - tracks.starts
         far = np.hypot(offset[:, 0], offset[:, 1]) >= config.min_distance_m
         tracks.has_displaced |= far & is_hit & (tracks.n_hits >= config.n_confirm)
@@ -196,21 +188,35 @@ class SegmentTracker:
         """Mark tracks on the place of an older one that were hardly ever apart from others."""
         tracks = self._tracks
         is_twin = np.zeros(len(tracks), dtype=np.bool_)
-        if len(tracks) < 2:
-            tracks.n_alone[is_hit] += 1
-            return is_twin
-        offset = tracks.states[:, None, :2] - tracks.states[None, :, :2]
-        distance = np.hypot(offset[..., 0], offset[..., 1])
-        np.fill_diagonal(distance, math.inf)
-        is_alone = distance.min(axis=1) > self.config.apart_m
-        tracks.n_alone[is_hit & is_alone] += 1
-        shares = np.zeros(len(tracks), dtype=np.bool_)
-        for i, j in np.argwhere(distance < self.config.body_m).tolist():
-            if i < j and not is_twin[i]:  # the older one comes first
-                shares[j] |= distance[i, j] < self.config.twin_m
-                is_twin[j] |= tracks.n_alone[j] < 5 or tracks.twin_s[j] > self.config.max_twin_s
-        tracks.twin_s[:] = np.maximum(tracks.twin_s + np.where(shares, dt, -dt), 0.0)
+        config = self.config
+        _kernels.find_twins(
+            tracks.states,
+            is_hit,
+            dt,
+            config.apart_m,
+            config.body_m,
+            config.twin_m,
+            config.max_twin_s,
+            tracks.n_alone,
+            tracks.twin_s,
+            is_twin,
+        )
         return is_twin
+
+    def _beams_of_tracks(
+        self, owner: IntArray, segment: IntArray, beams: Sequence[IntArray], view: ScanView | None
+    ) -> dict[int, IntArray]:
+        """The beams of each track that was sighted, by its identity."""
+        ids = self._tracks.ids
+        if view is None:
+            found = {t: [beams[s] for s in np.flatnonzero(owner == t).tolist()] for t in set(owner.tolist())}
+            return {int(ids[t]): np.concatenate(own) for t, own in found.items() if t >= 0}
+        starts, grouped = np.empty(len(ids) + 1, dtype=np.int64), np.empty(len(segment), dtype=np.int64)
+        _kernels.beams_by_track(segment, owner, starts, grouped)
+        at = starts.tolist()
+        return {
+            number: grouped[at[t] : at[t + 1]] for t, number in enumerate(ids.tolist()) if at[t + 1] > at[t]
+        }
 
     def _begin(
         self,

@@ -68,11 +68,12 @@ class SightingHistory:
         if not len(sightings.ids):
             return
         T_base_local = se2.inverse(T_local_base)
-        places = se2.transform(T_base_local, sightings.places)
+        rows = np.empty((len(sightings.ids), 8))
         R = se2.rotation(T_base_local[2])
-        covs = R @ sightings.covs @ R.T
-        for number, place, cov, size in zip(sightings.ids, places, covs, sightings.sizes_m, strict=True):
-            self._rows.extend((scan, number, *place, cov[0, 0], cov[0, 1], cov[1, 1], size))
+        rows[:, 0], rows[:, 1], rows[:, 7] = scan, sightings.ids, sightings.sizes_m
+        rows[:, 2:4] = sightings.places @ R.T + T_base_local[:2]
+        rows[:, 4:7] = (R @ sightings.covs @ R.T).reshape(-1, 4)[:, [0, 1, 3]]
+        self._rows.frombytes(rows.tobytes())
 
     def table(self) -> FloatArray:
         """(m, 8) scan number, track, x, y [m], xx, xy, yy [m^2] in the base frame, size [m]."""

@@ -160,6 +160,18 @@ def group_moving(
     return reason, cluster, is_moving, n_clusters
 
 
+def plain_parts(points: FloatArray, reason: IntArray, is_near: BoolArray) -> BoolArray:
+    """The runs of near beams beside which, within 0.15 m, something does not move."""
+    is_part = np.zeros_like(is_near)
+    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(is_near)) + 1)
+    for run in runs:
+        for end, other in ((run[0], run[0] - 1), (run[-1], run[-1] + 1)):
+            if 0 <= other < len(points) and reason[other] in (UNKNOWN, OCCUPIED):
+                offset = points[end] - points[other]
+                is_part[run] |= offset @ offset < _cluster_kernels.ATTACHED_M**2
+    return is_part
+
+
 def plain_grouping(
     points: FloatArray,
     is_valid: BoolArray,
@@ -179,6 +191,8 @@ def plain_grouping(
     ):
         squares = np.sum((points[:, None] - places[None]) ** 2, axis=-1)
         is_near = (squares < reach_m**2).any(axis=1) & np.isin(reason, [UNKNOWN, DISCARDED])
+        if why == TRACKED:
+            is_near &= ~plain_parts(points, reason, is_near)
         if is_near.any():
             cluster, n_clusters = plain_clusters(
                 points, is_moving | is_near, replace(config, min_points=min_points)
