@@ -247,6 +247,39 @@ def drop_weak(
 
 
 @kernel
+def note_sightings(
+    primary: IntArray,
+    owner: IntArray,
+    table: FloatArray,
+    dt: float,
+    states: FloatArray,
+    starts: FloatArray,
+    n_confirm: int,
+    min_distance: float,
+    is_hit: BoolArray,
+    n_hits: IntArray,
+    missed_s: FloatArray,
+    unproven_s: FloatArray,
+    has_displaced: BoolArray,
+) -> None:
+    """Keep the books of the tracks after a scan `dt` [s] later: fills `is_hit` (n,) and updates the others."""
+    for t in range(primary.shape[0]):
+        is_hit[t] = primary[t] >= 0
+        if not is_hit[t]:
+            missed_s[t] += dt
+            continue
+        n_hits[t] += 1
+        missed_s[t] = 0.0
+        unproven_s[t] += dt
+        distance = math.hypot(states[t, 0] - starts[t, 0], states[t, 1] - starts[t, 1])
+        if distance >= min_distance and n_hits[t] >= n_confirm:
+            has_displaced[t] = True
+    for s in range(table.shape[0]):
+        if owner[s] >= 0 and table[s, N_PROVEN] > 0.0:
+            unproven_s[owner[s]] = 0.0
+
+
+@kernel
 def beams_by_track(segment: IntArray, owner: IntArray, starts: IntArray, beams: IntArray) -> None:
     """Fill `beams` with those of track 0, of track 1 and so on: of track t from ``starts[t]`` to ``starts[t + 1]``."""
     starts[:] = 0

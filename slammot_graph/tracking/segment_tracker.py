@@ -14,6 +14,7 @@ from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.track_table import Tracks
 
 _NO_BEAMS: IntArray = np.empty(0, dtype=np.int64)
+_NOWHERE: FloatArray = np.empty((0, 2))
 _NO_SIGHTINGS = Sightings(
     ids=_NO_BEAMS, places=np.empty((0, 2)), covs=np.empty((0, 2, 2)), sizes_m=np.empty(0)
 )
@@ -78,16 +79,24 @@ class SegmentTracker:
         table, segment = _segments(centres, centre_covs, beams, is_proven, view, self._standing(), config)
         n = len(tracks)
         owner, measured = self._associate(table, dt)
-        is_hit = measured >= 0
-        tracks.n_hits[is_hit] += 1
-        tracks.missed_s[:] = np.where(is_hit, 0.0, tracks.missed_s + dt)
-        n_proven = np.bincount(owner[owner >= 0], weights=table[owner >= 0, _kernels.N_PROVEN], minlength=n)
-        tracks.unproven_s[:] = np.where(n_proven > 0, 0.0, tracks.unproven_s + np.where(is_hit, dt, 0.0))
+        is_hit = np.empty(n, dtype=np.bool_)
+        _kernels.note_sightings(
+            measured,
+            owner,
+            table,
+            dt,
+            tracks.states,
+            tracks.starts,
+            config.n_confirm,
+            config.min_distance_m,
+            is_hit,
+            tracks.n_hits,
+            tracks.missed_s,
+            tracks.unproven_s,
+            tracks.has_displaced,
+        )
         self._look(view, is_hit, dt)
         self._beams = self._beams_of_tracks(owner, segment, beams, view)
-        offset = tracks.states[:, :2] - tracks.starts
-        far = np.hypot(offset[:, 0], offset[:, 1]) >= config.min_distance_m
-        tracks.has_displaced |= far & is_hit & (tracks.n_hits >= config.n_confirm)
         is_ended = self._is_ended() | self._is_twin(is_hit, dt)
         if n and is_ended.any():
             self._tracks = tracks.take(~is_ended)
@@ -97,6 +106,8 @@ class SegmentTracker:
     def _standing(self) -> FloatArray:
         """(k, 2) places of the objects that have displaced and are slow now, or were not seen a moment ago."""
         tracks = self._tracks
+        if not tracks.has_displaced.any():
+            return _NOWHERE
         speed = np.hypot(tracks.states[:, 2], tracks.states[:, 3])
         is_slow = tracks.has_displaced & (speed < self.config.standing_speed_m_s)
         return tracks.states[is_slow, :2]
@@ -158,9 +169,13 @@ class SegmentTracker:
         tracks = self._tracks
         tracks.sight[:] = _sight.PRESENT
         missed = np.flatnonzero(~is_hit)
+        if not len(missed):
+            tracks.empty_s[:] = 0.0
+            return
         if view is None:
             tracks.sight[missed] = _sight.EMPTY
-        elif len(missed):
+            tracks.empty_s[missed] += dt
+        else:
             sight = np.empty(len(missed), dtype=np.int64)
             _sight.sight_at(
                 tracks.states[missed],
@@ -174,8 +189,8 @@ class SegmentTracker:
                 sight,
             )
             tracks.sight[missed] = sight
-        is_empty = tracks.sight == _sight.EMPTY
-        tracks.empty_s[:] = np.where(is_hit, 0.0, tracks.empty_s + np.where(is_empty, dt, 0.0))
+            tracks.empty_s[missed] += np.where(tracks.sight[missed] == _sight.EMPTY, dt, 0.0)
+        tracks.empty_s[is_hit] = 0.0
 
     def _is_ended(self) -> BoolArray:
         config, tracks = self.config, self._tracks
