@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from experiments import ablation, common, moving_points, noise_sweep, paper, paper_claim, walking_along
+from experiments import (
+    ablation,
+    common,
+    moving_points,
+    noise_sweep,
+    paper,
+    paper_claim,
+    tracking,
+    walking_along,
+)
 from slammot_graph.methods import METHODS
 from slammot_graph.simulation import simulate
 
@@ -51,6 +60,11 @@ def test_ablation(tmp_path: Path) -> None:
     rows = [line.split(" | ")[0].strip("| ") for line in text.splitlines()]
     assert [rows.count(method) for method in METHODS] == [2] * len(METHODS)  # one for each scenario
     assert {"one-walker, ATE [m]", "two-walkers, ghost cells/m^2"} <= set(rows)
+
+
+def test_tracking(tmp_path: Path) -> None:
+    text = quick("tracking", tmp_path, tuple(tracking.TRACKERS), "--seeds", "1")
+    assert "one-walker: what each part gives" in text
 
 
 def test_paper_claim(tmp_path: Path) -> None:
