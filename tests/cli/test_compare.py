@@ -212,7 +212,7 @@ def test_a_mistake_is_one_line(
     with np.load(log) as file:
         arrays = dict(file)
     write_npz_log("blind.npz", **{key: value for key, value in arrays.items() if key != "poses"})
-    per_scan = ("stamps", "ranges", "odometry", "poses", "is_moving", "object_id")
+    per_scan = ("stamps", "ranges", "odometry", "poses", "is_moving", "object_id", "objects")
     write_npz_log(
         "short.npz", **{key: value[:9] if key in per_scan else value for key, value in arrays.items()}
     )

@@ -18,7 +18,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log without people, the truth left out as in a recorded one."""
     path = tmp_path_factory.mktemp("log") / "recorded [1].npz"
     arrays = simulate("two-walkers", seed=3, n_people=0).arrays()
-    kept = {key: value for key, value in arrays.items() if key not in ("poses", "is_moving", "object_id")}
+    kept = {
+        key: value
+        for key, value in arrays.items()
+        if key not in ("poses", "is_moving", "object_id", "objects")
+    }
     for key in ("stamps", "ranges", "odometry"):
         kept[key] = kept[key][:N_SCANS]
     kept["ranges"][5, :7] = [np.nan, np.inf, 0.0, -1.0, 81.83, 0.05, 1e9]

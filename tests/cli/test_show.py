@@ -24,7 +24,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arrays = simulate("two-walkers", seed=0).arrays()
     for key in ("stamps", "ranges", "odometry"):
         arrays[key] = arrays[key][:N_SCANS]
-    for key in ("poses", "is_moving", "object_id"):
+    for key in ("poses", "is_moving", "object_id", "objects"):
         del arrays[key]
     write_npz_log(path, **arrays)
     return path
