@@ -9,11 +9,8 @@ from experiments import measures
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, median_interval, write_tables
 from slammot_graph import Run, get_method
-from slammot_graph.core.results import RunResult
-from slammot_graph.core.types import FloatArray
-from slammot_graph.evaluation import EstimatedTracks, TrueObjects, evaluate_objects
+from slammot_graph.evaluation import evaluate_run_tracks, read_objects
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.simulation import SimulatedLog
 from slammot_graph.tracking.factory import TrackerConfig
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
@@ -46,40 +43,20 @@ def cell(scenario: str, seed: int, tracker: str) -> Scores:
     assert isinstance(config, PipelineConfig)
     result = Run(log, "graph", config=replace(config, tracker=TRACKERS[tracker])).complete()
     scores: Scores = {"objects_ms": float(np.median(result.stage_ms["objects"]))}
+    truth = read_objects(log, result.is_valid)
+    assert truth is not None
     for labels, rows, poses in (
         ("online", result.tracks_online, result.T_map_base_online),
         ("final", result.tracks, result.T_map_base),
     ):
-        scores |= {f"{labels} {name}": value for name, value in _scores(log, result, rows, poses).items()}
+        one = evaluate_run_tracks(result.stamps, poses, rows, truth)
+        by_appearance = one.appearance
+        figures = (
+            *(by_appearance.mota, by_appearance.idf1, by_appearance.hota, one.ids_per_appearance),
+            *(one.position_rmse_m, one.velocity_rmse_m_s, one.nees),
+        )
+        scores |= {f"{labels} {name}": value for name, value in zip(FIGURES, figures, strict=True)}
     return scores
-
-
-def _scores(log: SimulatedLog, result: RunResult, rows: FloatArray, T_map_base: FloatArray) -> Scores:
-    truth = TrueObjects.of_beams(
-        stamps=log.stamps,
-        T_world_base=log.T_world_base,
-        objects=log.objects,
-        object_id=log.object_id,
-        is_valid=result.is_valid,
-    )
-    found = EstimatedTracks(
-        frames=rows[:, 9].astype(np.int64),
-        ids=rows[:, 1].astype(np.int64),
-        positions=rows[:, 2:4],
-        velocities=rows[:, 4:6],
-        covs=rows[:, [6, 7, 7, 8]].reshape(-1, 2, 2),
-        T_map_base=T_map_base,
-    )
-    scores = evaluate_objects(truth, found)
-    return {
-        "MOTA": scores.appearance.mota,
-        "IDF1": scores.appearance.idf1,
-        "HOTA": scores.appearance.hota,
-        "ids": scores.ids_per_appearance,
-        "position_m": scores.position_rmse_m,
-        "velocity_m_s": scores.velocity_rmse_m_s,
-        "nees": scores.nees,
-    }
 
 
 def key(scenario: str, seed: int, tracker: str) -> str:

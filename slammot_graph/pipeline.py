@@ -259,17 +259,15 @@ class Pipeline:
         self._stamps.append(scan.stamp)
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
-        view = ScanView(
-            points=points,
+        view = ScanView.of_scan(
+            scan,
+            T_local_base,
+            points,
             packed_cov=detection.packed_cov,
             cluster=detection.cluster,
             is_proven=detection.reason == FREE,
-            T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
-            angle_min=scan.laser.angle_min,
-            angle_increment=scan.laser.angle_increment,
-            ranges=scan.ranges,
             is_valid=is_valid,
-            is_no_return=scan.ranges >= self.config.range_fraction * scan.laser.range_max,
+            range_fraction=self.config.range_fraction,
         )
         tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
         sightings = self.tracker.sightings

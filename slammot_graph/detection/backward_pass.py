@@ -98,17 +98,15 @@ def sightings_of_labels(
     found = SightingHistory()
     for k, (item, is_moving) in enumerate(zip(history, labels, strict=False)):
         scan, T = item.scan, T_map_base[k]
-        view = ScanView(
-            points=scan.points(T),
+        view = ScanView.of_scan(
+            scan,
+            T,
+            scan.points(T),
             packed_cov=packed_covariances(scan, T, item.cov_relative, ellipse_test),
             cluster=np.where(is_moving, 0, -1),
             is_proven=is_moving,
-            T_local_laser=se2.compose(T, np.array(scan.laser.T_base_laser)),
-            angle_min=scan.laser.angle_min,
-            angle_increment=scan.laser.angle_increment,
-            ranges=scan.ranges,
             is_valid=item.is_valid,
-            is_no_return=scan.ranges >= range_fraction * scan.laser.range_max,
+            range_fraction=range_fraction,
         )
         tracker.update(scan.stamp, _NO_CENTRES, _NO_COVS, (), None, view)
         if tracker.sightings is not None:

@@ -17,6 +17,8 @@ from slammot_graph.core.errors import InputError
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.stamps import nearest_stamps
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.evaluation.consistency import nees_and_coverage
+from slammot_graph.evaluation.stats import summarize
 from slammot_graph.evaluation.tracks import TrackPoints, TrackScores, evaluate_tracks, match_tracks
 
 MIN_BEAMS = 3
@@ -213,7 +215,7 @@ def evaluate_objects(
         ids_per_appearance=_ids_per(appearances[of_truth], ids),
         position_rmse_m=_rms(offset),
         velocity_rmse_m_s=_rms(estimate.velocities[of_estimate] - velocities[of_truth]),
-        nees=_mean_nees(offset, estimate.covs[of_estimate]),
+        nees=nees_and_coverage(offset, estimate.covs[of_estimate])[0],
     )
 
 
@@ -273,8 +275,7 @@ def _in_map(
     """Places and velocities (m, 2) of the objects in the map, as the robot's estimated pose puts them."""
     T_map_world = se2.compose(T_map_base, se2.inverse(truth.T_world_base[: len(T_map_base)]))[frames]
     states = truth.objects[frames, people]
-    c, s = np.cos(T_map_world[:, 2]), np.sin(T_map_world[:, 2])
-    R = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    R = se2.rotation(T_map_world[:, 2])
     turned = np.einsum("mij,mkj->mki", R, states.reshape(-1, 2, 2))
     return turned[:, 0] + T_map_world[:, :2], turned[:, 1]
 
@@ -299,14 +300,5 @@ def _ids_per(whose: IntArray, ids: IntArray) -> float:
 
 
 def _rms(offset: FloatArray) -> float:
-    length2 = np.sum(offset**2, axis=1)
-    length2 = length2[np.isfinite(length2)]
-    return math.sqrt(float(length2.mean())) if len(length2) else math.nan
-
-
-def _mean_nees(offset: FloatArray, covs: FloatArray) -> float:
-    is_known = np.isfinite(covs).all(axis=(1, 2))
-    if not is_known.any():
-        return math.nan
-    solved = np.linalg.solve(covs[is_known], offset[is_known, :, None])[..., 0]
-    return float(np.mean(np.sum(offset[is_known] * solved, axis=1)))
+    length = np.hypot(offset[:, 0], offset[:, 1])
+    return summarize(length[np.isfinite(length)]).rmse

@@ -17,6 +17,7 @@ import numpy as np
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.results import TRACK_COLUMNS, RunResult
+from slammot_graph.core.stamps import STAMP_TOLERANCE_S, nearest_stamps
 from slammot_graph.core.types import FloatArray
 from slammot_graph.run_folder.atomic import write_text
 
@@ -56,10 +57,10 @@ def write_tracks_online(path: Path, result: RunResult) -> None:
     InputError
         The file cannot be written.
     """
-    rows = _scan_rows(result)
+    rows = nearest_stamps(result.stamps, result.tracks_online[:, 0], STAMP_TOLERANCE_S)
     ends: list[tuple[str, ...]] = [
         (str(int(is_seen)), *map(_number, result.T_map_base_online[row].tolist()))
-        for row, is_seen in zip(rows, result.is_track_online_seen.tolist(), strict=True)
+        for row, is_seen in zip(rows.tolist(), result.is_track_online_seen.tolist(), strict=True)
     ]
     write_text(path, _lines(result.tracks_online, ONLINE_COLUMNS, ends))
 
@@ -89,13 +90,6 @@ def read_track_columns(path: Path, columns: tuple[str, ...]) -> FloatArray:
         place = f"{path}, line {len(rows) + 2}"
         raise InputError(f"{place}: expected numbers in the columns {', '.join(REQUIRED_COLUMNS)}") from None
     return np.array(rows, dtype=np.float64).reshape(-1, len(columns))
-
-
-def _scan_rows(result: RunResult) -> list[int]:
-    """The row of the scan of each online track: they were appended scan by scan."""
-    order = np.argsort(result.stamps, kind="stable")
-    at = np.searchsorted(result.stamps[order], result.tracks_online[:, 0])
-    return [int(row) for row in order[at.clip(0, max(len(order) - 1, 0))]]
 
 
 def _number(value: float) -> str:

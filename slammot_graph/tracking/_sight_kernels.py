@@ -48,23 +48,19 @@ def find_standing(
                 and cluster[k] < 0
                 and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= reach
             )
-            if is_near and first < 0:
-                first = k
-            if is_near and k > first:
-                is_near = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1]) <= gap
-                if not is_near and not _is_attached(points, is_valid, first, k - 1, gap):
-                    for m in range(first, k):
-                        out[m] = number
-                    is_any = True
-                if not is_near:
-                    first = k
-                continue
-            if not is_near and first >= 0:
+            goes_on = (
+                is_near
+                and first >= 0
+                and math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1]) <= gap
+            )
+            if first >= 0 and not goes_on:
                 if not _is_attached(points, is_valid, first, k - 1, gap):
                     for m in range(first, k):
                         out[m] = number
                     is_any = True
                 first = -1
+            if is_near and first < 0:
+                first = k
         number += 1
     return is_any
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.tracking._kernels import predict
+from slammot_graph.tracking._kernels import correct, predict
 
 
 @kernel
@@ -34,30 +34,14 @@ def smooth(
         for j in range(2):
             one_cov[0, i, j] = noise[0, i, j]
         one_cov[0, i + 2, i + 2] = start_speed_std * start_speed_std
-    gain = np.empty((4, 2))
+    joined = np.zeros(1, dtype=np.int64)
     for k in range(n):
         if k > 0:
             predict(one, one_cov, max(stamps[k] - stamps[k - 1], 0.0), acceleration_std)
         before[k] = one[0]
         before_cov[k] = one_cov[0]
         if k > 0 and is_seen[k]:
-            P = one_cov[0]
-            s_xx = P[0, 0] + noise[k, 0, 0]
-            s_xy = P[0, 1] + noise[k, 0, 1]
-            s_yy = P[1, 1] + noise[k, 1, 1]
-            det = s_xx * s_yy - s_xy * s_xy
-            for i in range(4):
-                gain[i, 0] = (P[i, 0] * s_yy - P[i, 1] * s_xy) / det
-                gain[i, 1] = (P[i, 1] * s_xx - P[i, 0] * s_xy) / det
-            dx = places[k, 0] - one[0, 0]
-            dy = places[k, 1] - one[0, 1]
-            for i in range(4):
-                one[0, i] += gain[i, 0] * dx + gain[i, 1] * dy
-            row_x = P[0].copy()
-            row_y = P[1].copy()
-            for i in range(4):
-                for j in range(4):
-                    P[i, j] -= gain[i, 0] * row_x[j] + gain[i, 1] * row_y[j]
+            correct(one, one_cov, places[k : k + 1], noise[k : k + 1], joined)
         states[k] = one[0]
         covs[k] = one_cov[0]
     for k in range(n - 2, -1, -1):

@@ -8,6 +8,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.results import TrackState
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -69,6 +70,33 @@ class ScanView:
     ranges: FloatArray
     is_valid: BoolArray
     is_no_return: BoolArray
+
+    @classmethod
+    def of_scan(
+        cls,
+        scan: Scan,
+        T_local_base: FloatArray,
+        points: FloatArray,
+        *,
+        packed_cov: FloatArray,
+        cluster: IntArray,
+        is_proven: BoolArray,
+        is_valid: BoolArray,
+        range_fraction: float,
+    ) -> "ScanView":
+        """View a scan whose base lies at a pose (3,); `range_fraction` as of `Scan.is_no_return`."""
+        return cls(
+            points=points,
+            packed_cov=packed_cov,
+            cluster=cluster,
+            is_proven=is_proven,
+            T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
+            angle_min=scan.laser.angle_min,
+            angle_increment=scan.laser.angle_increment,
+            ranges=scan.ranges,
+            is_valid=is_valid,
+            is_no_return=scan.is_no_return(range_fraction=range_fraction),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

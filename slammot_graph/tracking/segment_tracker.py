@@ -10,6 +10,7 @@ from slammot_graph.tracking import _kernels as _track_kernels
 from slammot_graph.tracking import _segment_kernels as _kernels
 from slammot_graph.tracking import _sight_kernels as _sight
 from slammot_graph.tracking.base import ScanView, Sightings, Track
+from slammot_graph.tracking.clock import TrackerClock
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.track_table import Tracks
 
@@ -27,7 +28,7 @@ class SegmentTracker:
         self.config = config
         self._tracks = Tracks.none()
         self._beams: dict[int, IntArray] = {}
-        self._stamp_s: float | None = None
+        self._clock = TrackerClock(config.max_missed_s)
         self._next_id = 0
         self.sightings = _NO_SIGHTINGS
 
@@ -38,7 +39,7 @@ class SegmentTracker:
 
     def predicted_positions(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
-        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        dt = self._clock.elapsed_s(stamp_s)
         states = self._tracks.states[self._displaced()]
         return states[:, :2] + dt * states[:, 2:]
 
@@ -71,7 +72,7 @@ class SegmentTracker:
         Confirmed tracks that were seen a moment ago.
         """
         config = self.config
-        dt = self._advance(stamp_s)
+        dt = self._clock.advance(stamp_s)
         self.sightings = _NO_SIGHTINGS
         tracks = self._tracks
         if not len(tracks) and not (len(centres) if view is None else (view.cluster >= 0).any()):
@@ -104,20 +105,13 @@ class SegmentTracker:
         return self._listed(self._shown())
 
     def _standing(self) -> FloatArray:
-        """(k, 2) places of the objects that have displaced and are slow now, or were not seen a moment ago."""
+        """(k, 2) places of the objects that have displaced and are slow now."""
         tracks = self._tracks
         if not tracks.has_displaced.any():
             return _NOWHERE
         speed = np.hypot(tracks.states[:, 2], tracks.states[:, 3])
         is_slow = tracks.has_displaced & (speed < self.config.standing_speed_m_s)
         return tracks.states[is_slow, :2]
-
-    def _advance(self, stamp_s: float) -> float:
-        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
-        self._stamp_s = stamp_s if self._stamp_s is None else max(stamp_s, self._stamp_s)
-        if stamp_s < self._stamp_s - self.config.max_missed_s:
-            self._stamp_s = stamp_s  # the clock was set back for good
-        return dt
 
     def _associate(self, table: FloatArray, dt: float) -> tuple[IntArray, IntArray]:
         """Predict, join and correct; gives the track of each segment and the first segment of each track, or -1."""

@@ -1,7 +1,7 @@
-"""Tracks after the run: tracklets linked across absences, smoothed, and carried to the optimised poses.
+"""Tracks after the run: tracklets linked across absences, smoothed, and moved with the optimised poses.
 
 Each sighting of the time is kept relative to the robot, so that loop closures move it with the robot's pose.
-Tracklets are linked by an assignment of least cost: the end of one, carried forward, and the begin of another must
+Tracklets are linked by an assignment of least cost: the end of one, predicted forward, and the begin of another must
 agree in place and velocity. A chain is smoothed with a constant velocity that accelerations change (Rauch, Tung and
 Striebel 1965), and once more with sightings that it contradicts weighed down.
 """
@@ -199,15 +199,16 @@ def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[_Chain]:
     rows = sightings[sightings[:, 0] < len(T_map_base)]
     scans = rows[:, 0].astype(np.int64)
     T = T_map_base[scans]
-    c, s = np.cos(T[:, 2]), np.sin(T[:, 2])
-    R = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    R = se2.rotation(T[:, 2])
     places = np.einsum("mij,mj->mi", R, rows[:, 2:4]) + T[:, :2]
     covs = R @ rows[:, [4, 5, 5, 6]].reshape(-1, 2, 2) @ R.transpose(0, 2, 1)
-    found = []
-    for number in np.unique(rows[:, 1]):
-        own = np.flatnonzero(rows[:, 1] == number)
-        found.append(_Chain(scans=scans[own], places=places[own], covs=covs[own], sizes=rows[own, 7]))
-    return found
+    order = np.argsort(rows[:, 1], kind="stable")
+    starts = np.flatnonzero(np.diff(rows[order, 1], prepend=-1.0))
+    return [
+        _Chain(scans=scans[own], places=places[own], covs=covs[own], sizes=rows[own, 7])
+        for own in np.split(order, starts[1:])
+        if len(own)
+    ]
 
 
 def _linked(tracklets: list[_Chain], stamps: FloatArray, config: SmoothingConfig) -> list[_Chain]:

@@ -10,6 +10,7 @@ from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfini
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
 from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking.clock import TrackerClock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +49,7 @@ class KalmanTracker:
     def __init__(self, config: KalmanTrackerConfig) -> None:
         self.config = config
         self.tracks: list[Track] = []
-        self._stamp_s: float | None = None
+        self._clock = TrackerClock(config.max_missed_s)
         self._next_id = 0
         self._centre_cov = config.centre_std_m**2 * np.eye(2)
 
@@ -58,7 +59,7 @@ class KalmanTracker:
 
     def predicted_positions(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
-        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
+        dt = self._clock.elapsed_s(stamp_s)
         states = np.array([track.state for track in self.displaced()]).reshape(-1, 4)
         return states[:, :2] + dt * states[:, 2:]
 
@@ -102,10 +103,7 @@ class KalmanTracker:
         -------
         Confirmed tracks.
         """
-        dt = 0.0 if self._stamp_s is None else max(stamp_s - self._stamp_s, 0.0)
-        self._stamp_s = stamp_s if self._stamp_s is None else max(stamp_s, self._stamp_s)
-        if stamp_s < self._stamp_s - self.config.max_missed_s:
-            self._stamp_s = stamp_s  # the clock was set back for good
+        dt = self._clock.advance(stamp_s)
         if not self.tracks and not len(centres):
             return []
         proven = [True] * len(centres) if is_proven is None else is_proven.tolist()
