@@ -23,7 +23,6 @@ from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
 
-
 MAX_MATCH_VARIANCE = 0.01
 """A match that is known worse in some direction [m^2, rad^2] tells nothing of the noise."""
 
@@ -194,7 +193,10 @@ class AdaptiveOdometry:
         scale_m = min(max(now.noise_scale_m.value, config.min_noise_scale), config.max_noise_scale)
         scale_rad = min(max(now.noise_scale_rad.value, config.min_noise_scale), config.max_noise_scale)
         below_m, below_rad = self.innovations.scales
-        scale_m, scale_rad = (scale_m if below_m == 1.0 else below_m), (scale_rad if below_rad == 1.0 else below_rad)
+        scale_m, scale_rad = (
+            (scale_m if below_m == 1.0 else below_m),
+            (scale_rad if below_rad == 1.0 else below_rad),
+        )
         if scale_m != 1.0 or scale_rad != 1.0:
             scales = np.array([scale_m, scale_m, scale_rad])
             cov = cov * np.outer(scales, scales)
@@ -249,7 +251,9 @@ class AdaptiveOdometry:
             return
         found = np.empty(3)
         relative(before.T_local_base, match.T_local_base, found)
-        self.innovations.add(found - told.increment, self._record.model, (0.5 * (xx + yy), variance_rad2))
+        self.innovations.add(
+            found - told.increment, told.increment, self._record.model, (0.5 * (xx + yy), variance_rad2)
+        )
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
         """Give two matches in a row to the calibration."""

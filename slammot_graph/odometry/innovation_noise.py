@@ -7,11 +7,13 @@ meet in the same local map, makes the sum larger and the covariance less negativ
 upper bound, of the matches a lower one.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from slammot_graph.core.checks import AtLeastOne, Checked, Count, Positive, PositiveShare
+from slammot_graph.core.checks import AtLeastOne, Checked, Count, NotNegative, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
 
 WINDOWS = (4, 8, 16)
@@ -25,10 +27,13 @@ class InnovationNoiseConfig(Checked):
     Attributes
     ----------
     n_kept, n_first, n_between : int
-        The latest so many differences are used, once there are `n_first`, anew after every `n_between`.
+        The latest so many differences are used, once there are `n_first`, anew after a quarter as many
+        more, at most `n_between`.
     n_sigma : float
         The matches must be noisier than they claim by so many standard deviations of the estimate, and the odometry
         counts as so many worse than its estimate.
+    min_slow : float
+        The half of the differences with less motion must tell of so much of the claimed variance.
     clip : float
         A difference counts for no more than this times the robust standard deviation.
     min_scale : float
@@ -39,11 +44,30 @@ class InnovationNoiseConfig(Checked):
 
     n_kept: Count = 256
     n_first: Count = 32
-    n_between: Count = 16
+    n_between: Count = 128
     n_sigma: Positive = 2.0
+    min_slow: NotNegative = 0.5
     clip: Positive = 4.0
     min_scale: PositiveShare = 0.05
     max_match_scale: AtLeastOne = 5.0
+
+
+class _Fitted(NamedTuple):
+    """What differences tell of translation, or of rotation.
+
+    Attributes
+    ----------
+    products : (n - 1, axes) array
+        Of neighbours, the sign changed, over the variance that a match claims: their mean estimates the ratio.
+    of_slow : float
+        The same of the half with less motion.
+    of_odometry : float
+        Scale of the odometry's standard deviation.
+    """
+
+    products: FloatArray
+    of_slow: float
+    of_odometry: float
 
 
 class InnovationNoise:
@@ -52,6 +76,8 @@ class InnovationNoise:
     Attributes
     ----------
     config : InnovationNoiseConfig
+    is_refuted : bool
+        The matches are noisier than they claim, translation and rotation.
     match_scale : float
         Of the matches' standard deviations over what they claim, the larger of translation and rotation; 1 unless the
         differences refute both claims.
@@ -62,49 +88,77 @@ class InnovationNoise:
 
     def __init__(self, config: InnovationNoiseConfig) -> None:
         self.config = config
+        self.is_refuted = False
         self.match_scale = 1.0
         self.scales = (1.0, 1.0)
-        self._rows = np.zeros((config.n_kept, 7))
+        self._rows = np.zeros((config.n_kept, 9))
         self._n = 0
+        self._next_fit = config.n_first
 
-    def add(self, difference: FloatArray, model: tuple[float, float], claimed: tuple[float, float]) -> None:
+    def add(
+        self,
+        difference: FloatArray,
+        told: FloatArray,
+        model: tuple[float, float],
+        claimed: tuple[float, float],
+    ) -> None:
         """Take in the next difference.
 
         Parameters
         ----------
         difference : (3,) array
             Increment between two matches less that of the odometry [m, m, rad].
+        told : (3,) array
+            The odometry's increment.
         model, claimed : (m^2, rad^2)
             Variance of the odometry's increment, and of one match, translation per axis and rotation.
         """
         config = self.config
-        self._rows[self._n % config.n_kept] = (*difference.tolist(), *model, *claimed)
+        x, y, turn = told.tolist()
+        self._rows[self._n % config.n_kept] = (
+            *difference.tolist(),
+            *model,
+            *claimed,
+            math.hypot(x, y),
+            abs(turn),
+        )
         self._n += 1
-        if self._n >= config.n_first and self._n % config.n_between == 0:
+        if self._n >= self._next_fit:
             self.fit()
+            self._next_fit = self._n + min(max(self._n // 4, 8), config.n_between)
 
     def fit(self) -> None:
         """Estimate both noises from the differences kept."""
         n, kept = self._n, self.config.n_kept
         rows = self._rows[:n] if n <= kept else np.roll(self._rows, -(n % kept), axis=0)
-        of_matches_m, of_odometry_m = self._fitted(rows[:, 0:2], rows[:, 3], rows[:, 5])
-        of_matches_rad, of_odometry_rad = self._fitted(rows[:, 2:3], rows[:, 4], rows[:, 6])
-        is_refuted = of_matches_m > 1.0 and of_matches_rad > 1.0
-        self.scales = (of_odometry_m, of_odometry_rad) if is_refuted else (1.0, 1.0)
-        self.match_scale = max(of_matches_m, of_matches_rad) if is_refuted else 1.0
+        translation = self._fitted(rows[:, 0:2], rows[:, 3], rows[:, 5], rows[:, 7])
+        rotation = self._fitted(rows[:, 2:3], rows[:, 4], rows[:, 6], rows[:, 8])
+        products = np.concatenate([translation.products.ravel(), rotation.products.ravel()])
+        mean = float(products.mean())
+        margin = self.config.n_sigma * float(products.std()) / math.sqrt(products.size)
+        of_matches = [float(part.products.mean()) for part in (translation, rotation)]
+        is_slow_noisy = min(translation.of_slow, rotation.of_slow) > self.config.min_slow
+        if self.is_refuted:
+            self.is_refuted = is_slow_noisy and mean + margin > 1.0
+        else:
+            self.is_refuted = is_slow_noisy and mean - margin > 1.0 and min(of_matches) > 1.0
+        self.match_scale, self.scales = 1.0, (1.0, 1.0)
+        if self.is_refuted:
+            self.match_scale = min(math.sqrt(max(*of_matches, 1.0)), self.config.max_match_scale)
+            self.scales = translation.of_odometry, rotation.of_odometry
 
-    def _fitted(self, errors: FloatArray, model: FloatArray, claimed: FloatArray) -> tuple[float, float]:
-        """Scales of the matches' and of the odometry's standard deviation from differences (n, axes)."""
+    def _fitted(
+        self, errors: FloatArray, model: FloatArray, claimed: FloatArray, moved: FloatArray
+    ) -> "_Fitted":
+        """Noise of both from differences (n, axes) in motions of a size (n,)."""
         config = self.config
         errors = errors - np.median(errors, axis=0)
         limit = config.clip * 1.4826 * np.median(np.abs(errors), axis=0)
         errors = np.clip(errors, -limit, limit)
+        motion = moved[1:] + moved[:-1]
+        is_slow = motion <= np.median(motion)
         products = -errors[1:] * errors[:-1]
         mean_claimed = max(float(claimed.mean()), 1e-12)
-        std = float(products.std()) / np.sqrt(products.size)
-        of_matches = float(products.mean()) / mean_claimed
-        if of_matches - config.n_sigma * std / mean_claimed <= 1.0:
-            of_matches = 1.0
         sums = np.vstack([np.zeros(errors.shape[1]), np.cumsum(errors, axis=0)])
         mean_model = max(float(model.mean()), 1e-12)
         worst = 0.0
@@ -113,7 +167,8 @@ class InnovationNoise:
             n_free = errors.size / size
             upper = 1.0 + config.n_sigma * np.sqrt(2.0 / n_free)
             worst = max(worst, upper * float(squares.mean()) / (size * mean_model))
-        return (
-            min(float(np.sqrt(of_matches)), config.max_match_scale),
-            float(np.clip(np.sqrt(worst), config.min_scale, 1.0)),
+        return _Fitted(
+            products=products / mean_claimed,
+            of_slow=float(products[is_slow].mean()) / mean_claimed,
+            of_odometry=float(np.clip(math.sqrt(worst), config.min_scale, 1.0)),
         )
