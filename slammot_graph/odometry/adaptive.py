@@ -103,7 +103,6 @@ class AdaptiveOdometry:
         self._history = OdometryHistory()
         self._record = _Record()
         self._T_local_before: FloatArray | None = None
-        self._match_before: tuple[float, MatchedPose] | None = None
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
@@ -144,11 +143,10 @@ class AdaptiveOdometry:
         elif self._T_local_before is not None:
             self._learn(self._T_local_before, match)
             self._compare_noise(match)
-            if match.is_reliable and self._match_before is not None:
-                self._calibrate(self._match_before, (now_s, match))
+            if match.is_reliable and record.match is not None and record.match[1].is_reliable:
+                self._calibrate(record.match, (now_s, match))
         self._T_local_before = T_local_base
-        self._match_before = (now_s, match) if match is not None and match.is_reliable else None
-        self._record.match = match
+        record.match = None if match is None else (now_s, match)
 
     @property
     def match_noise_scale(self) -> float:
@@ -250,7 +248,7 @@ class AdaptiveOdometry:
         if not max(xx, yy, variance_rad2) < MAX_MATCH_VARIANCE:
             return
         found = np.empty(3)
-        relative(before.T_local_base, match.T_local_base, found)
+        relative(before[1].T_local_base, match.T_local_base, found)
         self.innovations.add(
             found - told.increment, told.increment, self._record.model, (0.5 * (xx + yy), variance_rad2)
         )
@@ -289,7 +287,7 @@ class _Record:
         self.is_odometry_used = True
         self.told: Motion | None = None
         self.model = (0.0, 0.0)  # variances of what was told by the noise model [m^2, rad^2]
-        self.match: MatchedPose | None = None  # at the scan before
+        self.match: tuple[float, MatchedPose] | None = None  # at the scan before, and its time
         self.previous: FloatArray = np.zeros(3)
         self.agreement = 0.0
         self.means = np.zeros(
