@@ -32,8 +32,9 @@ class InnovationNoiseConfig(Checked):
     n_sigma : float
         The matches must be noisier than they claim by so many standard deviations of the estimate, and the odometry
         counts as so many worse than its estimate.
-    min_slow : float
-        The half of the differences with less motion must tell of so much of the claimed variance.
+    min_still : float
+        Without what grows with the motion, the differences must tell of so much of the claimed variance: odometry that
+        is read too early or too late differs to and fro as well, in proportion to the motion.
     clip : float
         A difference counts for no more than this times the robust standard deviation.
     min_scale : float
@@ -46,7 +47,7 @@ class InnovationNoiseConfig(Checked):
     n_first: Count = 32
     n_between: Count = 128
     n_sigma: Positive = 2.0
-    min_slow: NotNegative = 0.5
+    min_still: NotNegative = 0.5
     clip: Positive = 4.0
     min_scale: PositiveShare = 0.05
     max_match_scale: AtLeastOne = 5.0
@@ -59,14 +60,14 @@ class _Fitted(NamedTuple):
     ----------
     products : (n - 1, axes) array
         Of neighbours, the sign changed, over the variance that a match claims: their mean estimates the ratio.
-    of_slow : float
-        The same of the half with less motion.
+    of_still : float
+        Their mean at no motion: what does not grow with it.
     of_odometry : float
         Scale of the odometry's standard deviation.
     """
 
     products: FloatArray
-    of_slow: float
+    of_still: float
     of_odometry: float
 
 
@@ -137,11 +138,11 @@ class InnovationNoise:
         mean = float(products.mean())
         margin = self.config.n_sigma * float(products.std()) / math.sqrt(products.size)
         of_matches = [float(part.products.mean()) for part in (translation, rotation)]
-        is_slow_noisy = min(translation.of_slow, rotation.of_slow) > self.config.min_slow
+        is_still_noisy = min(translation.of_still, rotation.of_still) > self.config.min_still
         if self.is_refuted:
-            self.is_refuted = is_slow_noisy and mean + margin > 1.0
+            self.is_refuted = is_still_noisy and mean + margin > 1.0
         else:
-            self.is_refuted = is_slow_noisy and mean - margin > 1.0 and min(of_matches) > 1.0
+            self.is_refuted = is_still_noisy and mean - margin > 1.0 and min(of_matches) > 1.0
         self.match_scale, self.scales = 1.0, (1.0, 1.0)
         if self.is_refuted:
             self.match_scale = min(math.sqrt(max(*of_matches, 1.0)), self.config.max_match_scale)
@@ -155,8 +156,6 @@ class InnovationNoise:
         errors = errors - np.median(errors, axis=0)
         limit = config.clip * 1.4826 * np.median(np.abs(errors), axis=0)
         errors = np.clip(errors, -limit, limit)
-        motion = moved[1:] + moved[:-1]
-        is_slow = motion <= np.median(motion)
         products = -errors[1:] * errors[:-1]
         mean_claimed = max(float(claimed.mean()), 1e-12)
         sums = np.vstack([np.zeros(errors.shape[1]), np.cumsum(errors, axis=0)])
@@ -169,6 +168,16 @@ class InnovationNoise:
             worst = max(worst, upper * float(squares.mean()) / (size * mean_model))
         return _Fitted(
             products=products / mean_claimed,
-            of_slow=float(products[is_slow].mean()) / mean_claimed,
+            of_still=_without_motion(products.mean(axis=1), moved[1:] + moved[:-1]) / mean_claimed,
             of_odometry=float(np.clip(math.sqrt(worst), config.min_scale, 1.0)),
         )
+
+
+def _without_motion(products: FloatArray, moved: FloatArray) -> float:
+    """Value at no motion of products (n,) that grow with the square of the motion (n,); their mean if they do not."""
+    squared = np.square(moved) / max(float(np.square(moved).mean()), 1e-12)
+    weights = np.square(1.0 / (0.3 + squared))
+    weight, x, y = weights.sum(), weights @ squared, weights @ products
+    varied = weight * (weights @ np.square(squared)) - x * x
+    slope = (weight * (weights @ (squared * products)) - x * y) / max(varied, 1e-3 * weight * weight)
+    return float(products.mean()) if slope <= 0.0 else float((y - slope * x) / weight)

@@ -30,7 +30,7 @@ def estimated(
 def test_both_scales_are_found_where_the_matches_claim_too_much() -> None:
     noise = estimated(0.05, 3.0)
     assert noise.match_scale == pytest.approx(3.0, rel=0.25)
-    assert all(0.05 <= scale < 0.3 for scale in noise.scales)  # cautious: an upper bound
+    assert all(0.05 <= scale < 0.4 for scale in noise.scales)  # cautious: an upper bound
 
 
 def test_the_odometry_never_counts_as_worse_than_its_model_here() -> None:
