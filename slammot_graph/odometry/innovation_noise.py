@@ -168,16 +168,25 @@ class InnovationNoise:
             worst = max(worst, upper * float(squares.mean()) / (size * mean_model))
         return _Fitted(
             products=products / mean_claimed,
-            of_still=_without_motion(products.mean(axis=1), moved[1:] + moved[:-1]) / mean_claimed,
+            of_still=_without_motion(products.mean(axis=1), moved[1:] + moved[:-1], config.n_sigma)
+            / mean_claimed,
             of_odometry=float(np.clip(math.sqrt(worst), config.min_scale, 1.0)),
         )
 
 
-def _without_motion(products: FloatArray, moved: FloatArray) -> float:
-    """Value at no motion of products (n,) that grow with the square of the motion (n,); their mean if they do not."""
+def _without_motion(products: FloatArray, moved: FloatArray, n_sigma: float) -> float:
+    """Value at no motion of products (n,) that grow with the square of the motion (n,).
+
+    Their mean where they do not clearly grow, by `n_sigma` standard deviations of the slope.
+    """
     squared = np.square(moved) / max(float(np.square(moved).mean()), 1e-12)
     weights = np.square(1.0 / (0.3 + squared))
-    weight, x, y = weights.sum(), weights @ squared, weights @ products
-    varied = weight * (weights @ np.square(squared)) - x * x
-    slope = (weight * (weights @ (squared * products)) - x * y) / max(varied, 1e-3 * weight * weight)
-    return float(products.mean()) if slope <= 0.0 else float((y - slope * x) / weight)
+    weight = float(weights.sum())
+    mean, centre = float(weights @ products) / weight, float(weights @ squared) / weight
+    off = weights * (squared - centre)
+    varied = max(float(off @ (squared - centre)), 1e-3 * weight)
+    slope = float(off @ products) / varied
+    residuals = products - mean - slope * (squared - centre)
+    if slope <= n_sigma * float(np.linalg.norm(off * residuals)) / varied:
+        return float(products.mean())
+    return mean - slope * centre
