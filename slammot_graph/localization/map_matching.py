@@ -37,6 +37,7 @@ class MapMatching:
         self._increment_before: FloatArray = se2.IDENTITY
         self._static_share = 1.0
         self._usual_agreement = 0.0
+        self._noise_scale = 1.0
         self._elsewhere: MotionState | None = None
         self._latest: MatchResult | None = None
 
@@ -56,6 +57,18 @@ class MapMatching:
             agreement = self.agreement(self._latest)
             self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
         self._latest = self._elsewhere = None
+
+    def scale_noise(self, scale: float) -> None:
+        """Take the noise of matches for so many times what the configuration says, from now on."""
+        if scale == self._noise_scale:
+            return
+        self._noise_scale, usual = scale, self.config.point_to_line
+        scaled = replace(
+            usual,
+            residual_std_m=scale * usual.residual_std_m,
+            floor_std_m=scale * usual.floor_std_m,
+        )
+        self.matcher = make_matcher(scaled)
 
     def match(
         self,

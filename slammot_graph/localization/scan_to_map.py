@@ -70,6 +70,7 @@ class ScanToMap:
         """See `Localizer`."""
         self.propagation.predict(scan)
         self.matching.start_scan(scan.laser.origin_base, self.propagation.T_local_before)
+        self.matching.scale_noise(self.propagation.model.match_noise_scale)
         return self._estimate()
 
     def match(

@@ -18,9 +18,13 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry._motion_kernels import judge_predictions, relative
 from slammot_graph.odometry.calibration import CalibrationConfig, SelfCalibration
 from slammot_graph.odometry.history import OdometryHistory
+from slammot_graph.odometry.innovation_noise import InnovationNoise, InnovationNoiseConfig
 from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
+
+MAX_MATCH_VARIANCE = 0.01
+"""A match that is known worse in some direction [m^2, rad^2] tells nothing of the noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +35,7 @@ class AdaptiveOdometryConfig(Checked):
     ----------
     calibration : CalibrationConfig
     previous_motion : PreviousMotionConfig
+    innovation_noise : InnovationNoiseConfig
     max_acceleration_m_s2, max_acceleration_rad_s2 : float
         No robot changes its velocity faster: an increment of the odometry that asks for more is wrong.
     error_gain : float
@@ -50,11 +55,12 @@ class AdaptiveOdometryConfig(Checked):
     imu_std_rad : float
         Of a turn between two scans that an IMU tells.
     min_noise_scale, max_noise_scale : float
-        Bounds of the learnt scale of the noise's standard deviation.
+        Bounds of the learnt scale of the noise's standard deviation; `innovation_noise` alone goes below.
     """
 
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     previous_motion: PreviousMotionConfig = field(default_factory=PreviousMotionConfig)
+    innovation_noise: InnovationNoiseConfig = field(default_factory=InnovationNoiseConfig)
     max_acceleration_m_s2: Positive = 10.0
     max_acceleration_rad_s2: Positive = 30.0
     error_gain: PositiveShare = 0.1
@@ -78,6 +84,7 @@ class AdaptiveOdometry:
     config : AdaptiveOdometryConfig
     calibration : SelfCalibration
     previous : PreviousMotion
+    innovations : InnovationNoise
     source : "odometry" or "previous motion"
         What is used where both are possible.
     T_odom_base : (3,) array
@@ -88,6 +95,7 @@ class AdaptiveOdometry:
         self.noise = noise
         self.calibration = SelfCalibration(config.calibration, noise)
         self.previous = PreviousMotion(config.previous_motion)
+        self.innovations = InnovationNoise(config.innovation_noise)
         self.source: MotionSource = "odometry"
         self.T_odom_base: FloatArray = se2.IDENTITY
         self._scan_before: Scan | None = None
@@ -95,7 +103,6 @@ class AdaptiveOdometry:
         self._history = OdometryHistory()
         self._record = _Record()
         self._T_local_before: FloatArray | None = None
-        self._match_before: tuple[float, MatchedPose] | None = None
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
@@ -135,10 +142,16 @@ class AdaptiveOdometry:
             self.previous.miss()
         elif self._T_local_before is not None:
             self._learn(self._T_local_before, match)
-            if match.is_reliable and self._match_before is not None:
-                self._calibrate(self._match_before, (now_s, match))
+            self._compare_noise(match)
+            if match.is_reliable and record.match is not None and record.match[1].is_reliable:
+                self._calibrate(record.match, (now_s, match))
         self._T_local_before = T_local_base
-        self._match_before = (now_s, match) if match is not None and match.is_reliable else None
+        record.match = None if match is None else (now_s, match)
+
+    @property
+    def match_noise_scale(self) -> float:
+        """See `MotionModel`."""
+        return self.innovations.match_scale
 
     @property
     def is_contradicted(self) -> bool:
@@ -173,9 +186,15 @@ class AdaptiveOdometry:
         )
         increment = now.corrected(increment)
         cov = self.noise.covariance(increment)
+        self._record.model = float(cov[0, 0]), float(cov[2, 2])
         config = self.config
         scale_m = min(max(now.noise_scale_m.value, config.min_noise_scale), config.max_noise_scale)
         scale_rad = min(max(now.noise_scale_rad.value, config.min_noise_scale), config.max_noise_scale)
+        below_m, below_rad = self.innovations.scales
+        scale_m, scale_rad = (
+            (scale_m if below_m == 1.0 else below_m),
+            (scale_rad if below_rad == 1.0 else below_rad),
+        )
         if scale_m != 1.0 or scale_rad != 1.0:
             scales = np.array([scale_m, scale_m, scale_rad])
             cov = cov * np.outer(scales, scales)
@@ -220,6 +239,20 @@ class AdaptiveOdometry:
         elif other > config.hysteresis * own:
             self.source = "odometry"
 
+    def _compare_noise(self, match: MatchedPose) -> None:
+        """Give the difference of two matches in a row and the odometry to the estimate of their noise."""
+        before, told = self._record.match, self._record.told
+        if before is None or told is None or not self._record.is_odometry_used:
+            return
+        xx, _, _, _, yy, _, _, _, variance_rad2 = match.cov.ravel().tolist()
+        if not max(xx, yy, variance_rad2) < MAX_MATCH_VARIANCE:
+            return
+        found = np.empty(3)
+        relative(before[1].T_local_base, match.T_local_base, found)
+        self.innovations.add(
+            found - told.increment, told.increment, self._record.model, (0.5 * (xx + yy), variance_rad2)
+        )
+
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
         """Give two matches in a row to the calibration."""
         if not self._history.clock.is_regular or self._record.told is None:
@@ -253,6 +286,8 @@ class _Record:
         self.has_odometry = False
         self.is_odometry_used = True
         self.told: Motion | None = None
+        self.model = (0.0, 0.0)  # variances of what was told by the noise model [m^2, rad^2]
+        self.match: tuple[float, MatchedPose] | None = None  # at the scan before, and its time
         self.previous: FloatArray = np.zeros(3)
         self.agreement = 0.0
         self.means = np.zeros(

@@ -23,6 +23,7 @@ class OdometryOrPreviousMotion:
     """
 
     is_contradicted = False
+    match_noise_scale = 1.0
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise

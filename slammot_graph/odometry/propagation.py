@@ -28,6 +28,10 @@ class MotionModel(Protocol):
     def is_contradicted(self) -> bool:
         """Whether there is odometry at the latest scan that cannot be believed."""
 
+    @property
+    def match_noise_scale(self) -> float:
+        """How much larger the matches' standard deviations are than they claim, at least 1."""
+
     def advance(self, scan: Scan) -> Motion | None:
         """Move on to the next scan: the motion since the one before, None at the first."""
 
@@ -51,6 +55,7 @@ class WheelOdometry:
     """
 
     is_contradicted = False
+    match_noise_scale = 1.0
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:
         self.noise = noise

@@ -215,6 +215,7 @@ class PreviousMotion:
     """Without wheels: the motion is that of the scan before."""
 
     is_contradicted = False
+    match_noise_scale = 1.0
 
     def __init__(self) -> None:
         self.T_odom_base: FloatArray = np.zeros(3)
