@@ -124,6 +124,14 @@ class SelfCalibration:
         self._n = 0
         self._n_seen = 0
         self._next_fit = config.n_first
+        self._excluded_s = list[float]()
+
+    def exclude(self, time_s: float) -> None:
+        """Tell that no robot can have made the odometry's increment up to a time of its clock.
+
+        Interpolated at shifted times it would spoil neighbours at some offsets more than at others.
+        """
+        self._excluded_s.append(time_s)
 
     def add(
         self,
@@ -189,7 +197,7 @@ class SelfCalibration:
     def _fit_offset(self, rows: FloatArray, history: OdometryHistory) -> Estimated:
         """The clock offset by a grid search, refined; 0 with the curvature's standard deviation where none is clear."""
         config = self.config
-        rows = smoothed_rows(rows)
+        rows = self._without_excluded(smoothed_rows(rows))
         if len(rows) < 20:
             return Estimated(value=0.0)
         step = config.offset_step_s
@@ -209,6 +217,16 @@ class SelfCalibration:
         slope = (fine_costs[k + 1] - fine_costs[k - 1]) / (0.4 * step)
         value = fine[k] - (slope / curvature if curvature > 1.0 else 0.0)
         return Estimated(value=float(np.clip(value, fine[k - 1], fine[k + 1])), std=std)
+
+    def _without_excluded(self, rows: FloatArray) -> FloatArray:
+        """Rows that no excluded increment can reach at any clock offset."""
+        if not len(rows):
+            return rows
+        reach_s = self.config.max_offset_s + 2.0 * usual_step(rows)
+        self._excluded_s = [time_s for time_s in self._excluded_s if time_s > rows[0, 0] - reach_s]
+        times = np.array(self._excluded_s)
+        near = np.searchsorted(times, rows[:, 0] - reach_s), np.searchsorted(times, rows[:, 1] + reach_s)
+        return np.asarray(rows[near[0] == near[1]])
 
     def _offset_cost(self, rows: FloatArray, offset: float, history: OdometryHistory) -> float:
         """Negative log likelihood of the increments at a clock offset, the other parameters fitted."""
