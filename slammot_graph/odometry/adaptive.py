@@ -47,7 +47,7 @@ class AdaptiveOdometryConfig(Checked):
         The other prediction is used once its mean squared error is smaller by this factor.
     min_excess, max_excess : float
         The odometry is left only while its squared errors exceed what its noise explains by this factor in the mean,
-        where a single one counts for no more than the second.
+        where a single one counts for no more than the second: one slip alone is none of it.
     min_agreement_to_leave, min_agreement_to_stay : float
         The odometry is left while more of the returns agree with the matches than this in the mean, and comes back when
         fewer do: where much of what the laser sees moves, the matches are no judge.
@@ -66,7 +66,7 @@ class AdaptiveOdometryConfig(Checked):
     error_cap_m: Positive = 0.5
     hysteresis: AtLeastOne = 2.0
     min_excess: Positive = 3.0
-    max_excess: Positive = 30.0
+    max_excess: Positive = 20.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
     imu_std_rad: Positive = 0.005
