@@ -22,8 +22,10 @@ MIN_LEAPS, LEAP_SHARE, LEAP_FACTOR = 5, 0.01, 1.7
 """A leap is an increment this many times the usual that follows one of nothing amid motion."""
 
 JUMP_SPEED_M_S, JUMP_SPEED_RAD_S = 5.0, 10.0
+USUAL_PERCENTILE = 75.0
+"""Up to a quarter of the increments may jump."""
 JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.3, 0.5
-"""A jump is faster than this, this many times faster than the log mostly is, and this long."""
+"""A jump is faster than this, this many times faster than the log mostly is while it moves, and this long."""
 
 
 _UNKNOWN = [math.nan] * 3
@@ -205,7 +207,10 @@ def _jumps(table: FloatArray) -> list[Finding]:
         return []
     with np.errstate(over="ignore"):
         speed, rate = distance[has_time] / dt[has_time], turn[has_time] / dt[has_time]
-    usual_m_s, usual_rad_s = np.percentile(speed, 95.0), np.percentile(rate, 95.0)
+    usual_m_s, usual_rad_s = (
+        float(np.percentile(column[column > 0.0], USUAL_PERCENTILE)) if (column > 0.0).any() else 0.0
+        for column in (speed, rate)
+    )
     is_jump = (speed > max(JUMP_SPEED_M_S, JUMP_FACTOR * usual_m_s)) & (distance[has_time] > JUMP_M)
     is_jump |= (rate > max(JUMP_SPEED_RAD_S, JUMP_FACTOR * usual_rad_s)) & (turn[has_time] > JUMP_RAD)
     if not is_jump.any():

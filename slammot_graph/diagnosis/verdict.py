@@ -14,6 +14,7 @@ N_SIGMA = 3.0
 """A number is off where it is by so many of its standard deviations, and by the least that matters:"""
 
 LEAST_SCALE = 0.05
+LEAST_BIAS_RAD_PER_M = 0.04
 LEAST_OFFSET_S = 0.03
 LEAST_DIRECTION_RAD = math.radians(5.0)
 LARGEST_TRUSTED_STD = 0.3
@@ -55,7 +56,7 @@ def diagnose(
     found += statistics.odometry.findings(has_moved=scans.has_moved and not is_blind)
     kinds = {finding.kind for finding in found}
     if report.has_odometry and not is_blind and not kinds & {"no odometry", "odometry never moves"}:
-        found += _of_report(report)
+        found += _of_report(report, is_held="odometry leaps" in kinds)
     if not is_blind:
         # where it never moves, that is the contradiction
         may_contradict = report.has_odometry and "odometry never moves" not in kinds
@@ -122,12 +123,15 @@ def _of_matches(statistics: RunStatistics, *, may_contradict: bool) -> list[Find
     return found
 
 
-def _of_report(report: OdometryReport) -> list[Finding]:
-    """What the calibration found."""
+def _of_report(report: OdometryReport, *, is_held: bool) -> list[Finding]:
+    """What the calibration found; odometry that is held for scans is late by that, and its scales tell nothing."""
+    if is_held:
+        return []
     return [
         finding
         for finding in (
             _heading(report.heading_scale),
+            _bias(report.heading_bias_rad_per_m),
             _distance(report.distance_scale),
             _direction(report.direction_rad),
             _clock(report.clock_offset_s),
@@ -182,19 +186,24 @@ def _heading(scale: Estimated) -> Finding | None:
     )
 
 
+def _bias(bias: Estimated) -> Finding | None:
+    if not _is_off(bias, 0.0, LEAST_BIAS_RAD_PER_M):
+        return None
+    degrees = math.degrees(bias.value)
+    return Finding(
+        kind="heading bias",
+        severity="warning",
+        cause=(
+            f"heading bias {degrees:+.2g} +- {math.degrees(bias.std):.1g} degrees per metre: the robot turns where the"
+            " odometry tells of driving straight ahead, one wheel is larger than the other"
+        ),
+        remedy=f"calibrate the radii of both wheels; {MEASURED_LATE}",
+        data=_data(bias),
+    )
+
+
 def _distance(scale: Estimated) -> Finding | None:
-    if _is_negative(scale):
-        return Finding(
-            kind="odometry drives the wrong way",
-            severity="warning",
-            cause=(
-                "the odometry contradicts the laser: it drives the opposite way (wrong sign, distance scale"
-                f" {scale.value:.2f} +- {scale.std:.2g}), or the laser is mounted turned by 180 degrees"
-            ),
-            remedy="mend the sign of the odometry's distance, or give --laser-pose with the yaw turned by pi",
-            data=_data(scale),
-        )
-    if not _is_off(scale, 1.0, LEAST_SCALE) or scale.value <= 0.0:
+    if not _is_off(scale, 1.0, LEAST_SCALE):
         return None
     return Finding(
         kind="distance scale",
@@ -217,8 +226,8 @@ def _direction(direction_rad: Estimated) -> Finding | None:
             kind="mounting turned",
             severity="warning",
             cause=(
-                "the laser's mounting looks turned by 180 degrees: it moves backward where the odometry drives forward"
-                f" ({math.degrees(off):.0f} +- {math.degrees(direction_rad.std):.2g} degrees)"
+                "the laser's mounting looks turned by 180 degrees, or the odometry drives the wrong way: the laser moves"
+                f" backward where the odometry drives forward ({math.degrees(off):.0f} +- {math.degrees(direction_rad.std):.2g} degrees)"
             ),
             remedy="give --laser-pose with the yaw turned by pi, or mend the sign of the odometry's distance",
             data=_data(direction_rad),

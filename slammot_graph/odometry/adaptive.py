@@ -26,6 +26,9 @@ from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotio
 MAX_MATCH_VARIANCE = 0.01
 """A match that is known worse in some direction [m^2, rad^2] tells nothing of the noise."""
 
+N_BEFORE = 2
+"""The first comparisons of both predictions count as if so many without any error stood before them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptiveOdometryConfig(Checked):
@@ -39,7 +42,8 @@ class AdaptiveOdometryConfig(Checked):
     max_acceleration_m_s2, max_acceleration_rad_s2 : float
         No robot changes its velocity faster: an increment of the odometry that asks for more is wrong.
     error_gain : float
-        Weight of the latest scan in the running mean of the squared errors of both predictions.
+        Weight of the latest scan in the running means by which both predictions are judged, that of an equal share in
+        the mean at first.
     error_lever_m : float
         A turn counts as its arc at this distance.
     error_cap_m : float
@@ -48,7 +52,7 @@ class AdaptiveOdometryConfig(Checked):
         The other prediction is used once its mean squared error is smaller by this factor.
     min_excess, max_excess : float
         The odometry is left only while its squared errors exceed what its noise explains by this factor in the mean,
-        where a single one counts for no more than the second.
+        where a single one counts for no more than the second: one slip alone is none of it.
     min_agreement_to_leave, min_agreement_to_stay : float
         The odometry is left while more of the returns agree with the matches than this in the mean, and comes back when
         fewer do: where much of what the laser sees moves, the matches are no judge.
@@ -68,7 +72,7 @@ class AdaptiveOdometryConfig(Checked):
     error_cap_m: Positive = 0.5
     hysteresis: AtLeastOne = 2.0
     min_excess: Positive = 3.0
-    max_excess: Positive = 30.0
+    max_excess: Positive = 20.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
     imu_std_rad: Positive = 0.005
@@ -122,6 +126,8 @@ class AdaptiveOdometry:
             motion = told
         else:
             motion = self.previous.motion(step_s)
+        if not is_possible:
+            self.calibration.exclude(self._scan_s + self.calibration.now.clock_offset_s.value)
         record.count(use_odometry=motion is told, is_possible=is_possible)
         if before.imu_yaw is not None and scan.imu_yaw is not None:
             motion = _turned(motion, scan.imu_yaw - before.imu_yaw, self.config.imu_std_rad)
@@ -132,8 +138,7 @@ class AdaptiveOdometry:
         """See `MotionModel`."""
         now_s = self._scan_s
         record = self._record
-        agreement = 0.0 if match is None else match.agreement
-        record.agreement += self.config.error_gain * (agreement - record.agreement)
+        record.agree(0.0 if match is None else match.agreement, self.config.error_gain)
         if self.source == "previous motion" and record.agreement < self.config.min_agreement_to_stay:
             self.source = "odometry"
         if match is not None and match.is_elsewhere and record.is_odometry_used:
@@ -212,7 +217,7 @@ class AdaptiveOdometry:
         """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""
         found = np.empty(3)
         relative(T_before, match.T_local_base, found)
-        if match.is_reliable and self._record.told is not None:
+        if match.is_reliable and self._record.told is not None and self._record.is_possible:
             self._compare(self._record.told, found, match)
         self.previous.learn(found, match.cov, self._history.clock.step_s)
 
@@ -227,7 +232,7 @@ class AdaptiveOdometry:
             match.cov,
             config.error_lever_m,
             config.error_cap_m,
-            config.error_gain,
+            record.gain(config.error_gain),
             config.max_excess,
             record.means,
         )
@@ -285,14 +290,16 @@ class _Record:
         self.n_impossible = 0
         self.has_odometry = False
         self.is_odometry_used = True
+        self.is_possible = True
         self.told: Motion | None = None
         self.model = (0.0, 0.0)  # variances of what was told by the noise model [m^2, rad^2]
         self.match: tuple[float, MatchedPose] | None = None  # at the scan before, and its time
         self.previous: FloatArray = np.zeros(3)
         self.agreement = 0.0
-        self.means = np.zeros(
-            3
-        )  # squared error of the odometry and of the previous motion, excess of the odometry
+        self.n_agreements = 0
+        self.n_compared = 0
+        # squared error of the odometry and of the previous motion, excess of the odometry
+        self.means = np.zeros(3)
 
     def start_scan(self, told: Motion | None, previous: FloatArray) -> None:
         """Take in both predictions of the next motion, the previous one as its increment (3,)."""
@@ -301,7 +308,18 @@ class _Record:
 
     def count(self, *, use_odometry: bool, is_possible: bool) -> None:
         """Count what was used."""
+        self.is_possible = is_possible
         self.is_odometry_used = use_odometry
         self.n_by_odometry += use_odometry
         self.n_by_previous += not use_odometry
         self.n_impossible += not is_possible
+
+    def agree(self, agreement: float, gain: float) -> None:
+        """Take the share of returns that agree with a match into the running mean."""
+        self.n_agreements += 1
+        self.agreement += max(gain, 1.0 / self.n_agreements) * (agreement - self.agreement)
+
+    def gain(self, gain: float) -> float:
+        """Weight of the latest comparison in the running means: an equal share at first, after `N_BEFORE` of zeros."""
+        self.n_compared += 1
+        return max(gain, 1.0 / (self.n_compared + N_BEFORE))

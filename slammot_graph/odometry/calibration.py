@@ -17,11 +17,14 @@ from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
-from slammot_graph.odometry.robust_fit import noise_scale_of, robust_fit, stds_of
-from slammot_graph.odometry.windows import Windows, smoothed_rows, told_increments, usual_step
+from slammot_graph.odometry.robust_fit import long_run_variance, noise_scale_of, robust_fit, stds_of
+from slammot_graph.odometry.windows import Windows, joined, smoothed_rows, told_increments, usual_step
 
 MIN_WINDOWS = 8
 """Scales are not fitted to fewer."""
+
+N_HEADING_FITS = 3
+"""The turns of windows that hardly turn are mended by the scale of the fit before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +127,14 @@ class SelfCalibration:
         self._n = 0
         self._n_seen = 0
         self._next_fit = config.n_first
+        self._excluded_s = list[float]()
+
+    def exclude(self, time_s: float) -> None:
+        """Tell that no robot can have made the odometry's increment up to a time of its clock.
+
+        Interpolated at shifted times it would spoil neighbours at some offsets more than at others.
+        """
+        self._excluded_s.append(time_s)
 
     def add(
         self,
@@ -189,29 +200,44 @@ class SelfCalibration:
     def _fit_offset(self, rows: FloatArray, history: OdometryHistory) -> Estimated:
         """The clock offset by a grid search, refined; 0 with the curvature's standard deviation where none is clear."""
         config = self.config
-        rows = smoothed_rows(rows)
+        rows = self._without_excluded(smoothed_rows(rows))
         if len(rows) < 20:
             return Estimated(value=0.0)
         step = config.offset_step_s
         n = round(config.max_offset_s / step)
         coarse = step * np.arange(-n, n + 1)
-        costs = np.array([self._offset_cost(rows, offset, history) for offset in coarse])
+        costs = np.array([self._offset_costs(rows, offset, history).sum() for offset in coarse])
         best = coarse[int(np.argmin(costs))]
         fine = best + 0.2 * step * np.arange(-5, 6)
-        fine_costs = np.array([self._offset_cost(rows, offset, history) for offset in fine])
+        costs_of_rows = np.array([self._offset_costs(rows, offset, history) for offset in fine])
+        fine_costs = costs_of_rows.sum(axis=1)
         k = int(np.clip(np.argmin(fine_costs), 1, len(fine) - 2))
         curvature = (fine_costs[k - 1] - 2.0 * fine_costs[k] + fine_costs[k + 1]) / (0.2 * step) ** 2
-        std = 1.0 / math.sqrt(curvature) if curvature > 1.0 else math.inf
+        std = math.inf
+        if curvature > 1.0:
+            slopes = (costs_of_rows[k + 1] - costs_of_rows[k - 1]) / (0.4 * step)
+            spread = float(long_run_variance(slopes[:, None])[0, 0])
+            std = max(1.0 / math.sqrt(curvature), math.sqrt(spread) / curvature)
         # What is left of the smoothing by interpolation favours both signs alike: an offset must beat its opposite too.
-        opposite = self._offset_cost(rows, -float(fine[k]), history)
+        opposite = float(self._offset_costs(rows, -float(fine[k]), history).sum())
         if min(costs[n], opposite) - fine_costs.min() < config.min_gain:
             return Estimated(value=0.0, std=std)
         slope = (fine_costs[k + 1] - fine_costs[k - 1]) / (0.4 * step)
         value = fine[k] - (slope / curvature if curvature > 1.0 else 0.0)
         return Estimated(value=float(np.clip(value, fine[k - 1], fine[k + 1])), std=std)
 
-    def _offset_cost(self, rows: FloatArray, offset: float, history: OdometryHistory) -> float:
-        """Negative log likelihood of the increments at a clock offset, the other parameters fitted."""
+    def _without_excluded(self, rows: FloatArray) -> FloatArray:
+        """Rows that no excluded increment can reach at any clock offset."""
+        if not len(rows):
+            return rows
+        reach_s = self.config.max_offset_s + 2.0 * usual_step(rows)
+        self._excluded_s = [time_s for time_s in self._excluded_s if time_s > rows[0, 0] - reach_s]
+        times = np.array(self._excluded_s)
+        near = np.searchsorted(times, rows[:, 0] - reach_s), np.searchsorted(times, rows[:, 1] + reach_s)
+        return np.asarray(rows[near[0] == near[1]])
+
+    def _offset_costs(self, rows: FloatArray, offset: float, history: OdometryHistory) -> FloatArray:
+        """(n,) negative log likelihood of the increments at a clock offset, the other parameters fitted."""
         u = told_increments(rows[:, 0], rows[:, 1], float(offset), history, spread_s=usual_step(rows))
         std = self._stds(rows[:, 5:7])
         heading = robust_fit(
@@ -223,7 +249,7 @@ class SelfCalibration:
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         z = np.concatenate([rows[:, 2], rows[:, 3]])
         translation = robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
-        return heading.cost + translation.cost
+        return np.asarray(heading.costs + translation.costs.reshape(2, -1).sum(axis=0))
 
     def _stds(self, variances: FloatArray) -> FloatArray:
         """Standard deviations (n, 2) of residuals in a fit, with a lower bound."""
@@ -240,9 +266,11 @@ class SelfCalibration:
         """Heading scale and bias, distance scale, and direction.
 
         Only windows with clearly more motion than noise tell of a scale: fitted to the noise of a still heading, a
-        scale would go to zero. What too few windows excite keeps its prior.
+        scale would go to zero. All tell of the bias. What too few windows excite keeps its prior.
         """
-        return self._fit_heading(windows), *self._fit_distance(windows)
+        heading = self._fit_heading(windows)
+        turned = OdometryCalibration(heading_scale=heading[0], heading_bias_rad_per_m=heading[1])
+        return heading, *self._fit_distance(windows, joined(turned.corrected(windows.steps)))
 
     def _fit_heading(self, windows: Windows) -> tuple[Estimated, Estimated]:
         turn, found, std = windows.told[:, 2], windows.found[:, 2], self._stds(windows.var)[:, 1]
@@ -252,35 +280,36 @@ class SelfCalibration:
         if np.count_nonzero(is_turning) < 2 * MIN_WINDOWS:
             prior = prior[0], np.array([1e-4, prior[1][1]])
             is_turning = np.ones(len(turn), dtype=np.bool_)
-        A = np.column_stack([turn, d])[is_turning]
-        fit = robust_fit(A, found[is_turning], std[is_turning], prior)
+        A = np.column_stack([turn * is_turning, d])
+        scale = 1.0
+        for _ in range(N_HEADING_FITS):
+            fit = robust_fit(A, found - scale * turn * ~is_turning, std, prior, is_scale_given=False)
+            scale = float(fit.x[0])
         stds = stds_of(fit, self._heading_prior()[1])
         if prior[1][0] < self.config.scale_std:
             stds[0] = math.inf
         return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
 
-    def _fit_distance(self, windows: Windows) -> tuple[Estimated, Estimated]:
-        told = windows.told
+    def _fit_distance(self, windows: Windows, told: FloatArray) -> tuple[Estimated, Estimated]:
+        """Distance scale and direction by the windows' motion (n, 3) with the heading mended."""
         is_moving = (np.hypot(told[:, 0], told[:, 1]) > 0.03) | (np.abs(told[:, 2]) > 0.02)
         if np.count_nonzero(is_moving) < MIN_WINDOWS:
             return Estimated(value=1.0), Estimated(value=0.0)
-        u, z, std = windows.told[is_moving], windows.found[is_moving], self._stds(windows.var)[is_moving, 0]
+        u, z, std = told[is_moving], windows.found[is_moving], self._stds(windows.var)[is_moving, 0]
         rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         prior = self._scale_prior()
-        fit = robust_fit(rotated, np.concatenate([z[:, 0], z[:, 1]]), np.tile(std, 2), prior)
-        scale, std_scale = math.hypot(*fit.x), stds_of(fit, prior[1])[0]
+        found = np.concatenate([z[:, 0], z[:, 1]])
+        fit = robust_fit(rotated, found, np.tile(std, 2), prior, is_scale_given=False)
+        scale, stds = math.hypot(*fit.x), stds_of(fit, prior[1], n_series=2)
         return (
-            Estimated(value=scale, std=std_scale),
-            Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=std_scale / max(scale, 0.1)),
+            Estimated(value=scale, std=stds[0]),
+            Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=stds[1] / max(scale, 0.1)),
         )
 
     def _fit_noise(self, windows: Windows, calibration: OdometryCalibration) -> tuple[Estimated, Estimated]:
         """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own."""
         increments = calibration.corrected(windows.steps)
-        T = increments[:, 0]
-        for k in range(1, increments.shape[1]):
-            T = se2.compose(T, increments[:, k])
-        errors = se2.log(se2.between(T, windows.found))
+        errors = se2.log(se2.between(joined(increments), windows.found))
         variances = (
             self.noise_variances(increments.reshape(-1, 3)).reshape(*increments.shape[:2], 2).sum(axis=1)
         )

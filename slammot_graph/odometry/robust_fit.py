@@ -14,27 +14,54 @@ DOF = 4.0
 N_WIDE, N_STEPS = 2, 3
 """Steps of a fit: so many at the scale of the residuals, and then so many at the scale given."""
 
+SLOPE_OF_WEIGHTS = 0.75
+"""Mean slope of Student's gradient over the mean weight, for normal residuals of its scale."""
+
+N_LAGS = 12
+"""Rows that are further apart are independent."""
+
 MEDIAN_OF_SQUARES = 0.4549
 """Of a standard normal variable."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """A robust linear fit: parameters, their information, residuals and cost."""
+    """A robust linear fit.
+
+    Attributes
+    ----------
+    x : (p,) array
+    information : (p, p) array
+        Of the weighted squares, the prior's included.
+    scores : (n, p) array
+        Each row's part of the gradient of the cost.
+    costs : (n,) array
+        Negative log likelihood of each row.
+    """
 
     x: FloatArray
     information: FloatArray
-    residuals: FloatArray
-    cost: float
+    scores: FloatArray
+    costs: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Negative log likelihood of all rows."""
+        return float(self.costs.sum())
 
 
 def robust_fit(
-    A: FloatArray, y: FloatArray, std: FloatArray, prior: tuple[FloatArray, FloatArray]
+    A: FloatArray,
+    y: FloatArray,
+    std: FloatArray,
+    prior: tuple[FloatArray, FloatArray],
+    *,
+    is_scale_given: bool = True,
 ) -> RobustFit:
-    """Fit ``y = A x`` under Student's t of a given scale, with a Gaussian prior (mean, std) of x.
+    """Fit ``y = A x`` under Student's t, with a Gaussian prior (mean, std) of x.
 
     The first steps widen the scale to that of the residuals: far from the solution nearly all of them are in the
-    tails, which would hold it where it is.
+    tails, which would hold it where it is. Where `std` is a lower bound of the scale only, all steps do.
     """
     mean, prior_std = prior
     prior_information = np.diag(prior_std**-2.0)
@@ -43,21 +70,51 @@ def robust_fit(
     residuals = y - A @ x
     for step in range(N_WIDE + N_STEPS):
         scaled2 = np.square(residuals / std)
-        wide2 = max(float(np.median(scaled2)) / MEDIAN_OF_SQUARES, 1.0) if step < N_WIDE else 1.0
-        weights = (DOF + 1.0) / (DOF + scaled2 / wide2) / np.square(std)
+        wide2 = 1.0
+        if step < N_WIDE or not is_scale_given:
+            wide2 = max(float(np.median(scaled2)) / MEDIAN_OF_SQUARES, 1.0)
+        var = np.square(std) * (1.0 if is_scale_given else wide2)
+        weights = (DOF + 1.0) / (DOF + scaled2 / wide2) / var
         weighted = A * weights[:, None]
         information = weighted.T @ A + prior_information
         x = np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
         residuals = y - A @ x
-    cost = 0.5 * (DOF + 1.0) * float(np.log1p(np.square(residuals / std) / DOF).sum())
-    return RobustFit(x, information, residuals, cost)
+    scaled2 = np.square(residuals / std)
+    scores = A * (weights * residuals)[:, None]
+    return RobustFit(x, information, scores, 0.5 * (DOF + 1.0) * np.log1p(scaled2 / DOF))
 
 
-def stds_of(fit: RobustFit, prior_std: FloatArray) -> list[float]:
-    """Standard deviations of the parameters; infinite where the data say no more than the prior."""
+def stds_of(fit: RobustFit, prior_std: FloatArray, n_series: int = 1) -> list[float]:
+    """Standard deviations of the parameters; infinite where the data say no more than the prior.
+
+    The residuals hold more than the matches' errors, and neighbours are not independent. So the larger counts of the
+    variance that the fit expects, and the one by how the rows' gradients add up in fact (`long_run_variance`).
+
+    Parameters
+    ----------
+    fit : RobustFit
+    prior_std : (p,) array
+    n_series : int
+        So many series in time follow each other in the rows, of which row i of each belongs to the same time.
+    """
     cov = np.linalg.inv(fit.information)
-    stds = np.sqrt(np.diag(cov))
+    scores = fit.scores.reshape(n_series, -1, len(fit.x)).sum(axis=0)
+    # the gradient's slope is less than the weights, for a residual counts less the larger it is
+    spread = SLOPE_OF_WEIGHTS**-2.0 * cov @ long_run_variance(scores) @ cov
+    stds = np.sqrt(np.maximum(np.diag(cov), np.diag(spread)))
     return [float(std) if std < 0.5 * prior else math.inf for std, prior in zip(stds, prior_std, strict=True)]
+
+
+def long_run_variance(scores: FloatArray) -> FloatArray:
+    """(p, p) covariance of the sum of a series (n, p) whose neighbours go together (Newey and West, 1987)."""
+    scores = scores - scores.mean(axis=0)
+    n, p = scores.shape
+    total = scores.T @ scores
+    n_lags = min(N_LAGS, n - 1)
+    for lag in range(1, n_lags + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (n_lags + 1.0)) * (product + product.T)
+    return np.asarray(total * (n / max(n - p, 1)))
 
 
 def noise_scale_of(errors2: FloatArray, model: FloatArray, own: FloatArray, spread: float) -> Estimated:

@@ -42,12 +42,17 @@ class Windows:
         within = within[is_whole]
         self.n = len(within)
         self.steps = told_increments(rows[within, 0], rows[within, 1], offset_s, history)
-        found = rows[within[:, 0], 2:5] if self.n else np.zeros((0, 3))
-        for k in range(1, size):
-            found = se2.compose(found, rows[within[:, k], 2:5])
-        self.found = found
+        self.found = joined(rows[within, 2:5])
         self.told = told_increments(rows[within[:, 0], 0], rows[within[:, -1], 1], offset_s, history)
         self.var = rows[within[:, -1], 5:7] if self.n else np.zeros((0, 2))
+
+
+def joined(increments: FloatArray) -> FloatArray:
+    """(n, 3) motion over increments (n, k, 3) in a row."""
+    T = increments[:, 0]
+    for k in range(1, increments.shape[1]):
+        T = se2.compose(T, increments[:, k])
+    return T
 
 
 SMOOTHING = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])

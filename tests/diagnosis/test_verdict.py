@@ -38,11 +38,7 @@ def report(**values: tuple[float, float]) -> OdometryReport:
             "contradicts the laser: it turns the opposite",
         ),
         ({"heading_scale": (0.8, 0.02)}, "heading scale", "divide the wheel base by 0.8"),
-        (
-            {"distance_scale": (-1.0, 0.02)},
-            "odometry drives the wrong way",
-            "drives the opposite way (wrong sign",
-        ),
+        ({"heading_bias_rad_per_m": (-0.1, 0.01)}, "heading bias", "-5.7 +- 0.6 degrees per metre"),
         ({"distance_scale": (0.5, 0.01)}, "distance scale", "distances are 2 times too long"),
         ({"distance_scale": (1.6, 0.01)}, "distance scale", "distances are 1.6 times too short"),
         ({"direction_rad": (3.1, 0.05)}, "mounting turned", "looks turned by 180 degrees"),
