@@ -102,7 +102,9 @@ def expected(clean: SimulatedLog, fault: Fault) -> dict[str, float]:
         "clock_offset_s": fault.delay_s,
         "distance_scale": 1.0 / (distance * abs(fault.distance)),
         "heading_scale": needed / fault.heading,
-        "heading_bias_rad_per_m": -needed * (float(bias) / distance + fault.bias_rad_per_m) / abs(fault.distance),
+        "heading_bias_rad_per_m": -needed
+        * (float(bias) / distance + fault.bias_rad_per_m)
+        / abs(fault.distance),
     }
 
 

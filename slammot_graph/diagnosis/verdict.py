@@ -226,8 +226,9 @@ def _direction(direction_rad: Estimated) -> Finding | None:
             kind="mounting turned",
             severity="warning",
             cause=(
-                "the laser's mounting looks turned by 180 degrees, or the odometry drives the wrong way: the laser moves"
-                f" backward where the odometry drives forward ({math.degrees(off):.0f} +- {math.degrees(direction_rad.std):.2g} degrees)"
+                "the laser's mounting looks turned by 180 degrees, or the odometry drives the wrong way: the laser"
+                " moves backward where the odometry drives forward"
+                f" ({math.degrees(off):.0f} +- {math.degrees(direction_rad.std):.2g} degrees)"
             ),
             remedy="give --laser-pose with the yaw turned by pi, or mend the sign of the odometry's distance",
             data=_data(direction_rad),

@@ -64,6 +64,9 @@ class ScanToMapConfig(Checked):
         ... and one from another start is believed where so many more agree.
     turn_reach, turn_step_rad : float
         Starts are turned in these steps up to so many standard deviations of the predicted heading.
+    astray_share : float
+        Where a smaller share of the returns agrees than this times the usual one, nothing is known of the heading: they
+        are turned all around.
     min_agreement : float
         Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
         that moves disagree.
@@ -88,6 +91,7 @@ class ScanToMapConfig(Checked):
     agreement_gain: Share = 0.05
     turn_reach: Positive = 2.5
     turn_step_rad: Positive = 0.3
+    astray_share: Share = 0.5
     min_agreement: Share = 0.75
     close_loops: bool = True
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)

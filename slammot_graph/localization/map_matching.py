@@ -192,26 +192,36 @@ class MapMatching:
     def _match_elsewhere(
         self, points_base: FloatArray, is_valid: BoolArray, doubtful: MatchResult, start: MotionState
     ) -> MotionState | None:
-        """Match all returns from other starts.
+        """Match all returns from other starts; where hardly any agree, from a full circle of them.
 
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
         """
         wide = self.config.lost_cov
         anywhere = start.loosened(wide)._replace(cov_prior=wide, cov_independent=wide)
-        needed = max(self.agreement(doubtful) + self.config.agreement_gain, self.config.min_agreement)
+        agreement = self.agreement(doubtful)
+        needed = max(agreement + self.config.agreement_gain, self.config.min_agreement)
         best: MotionState | None = None
-        for T in self._other_starts(start):
-            match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
-            if match.status == "converged" and match.inlier_ratio > needed:
-                needed = match.inlier_ratio
-                best = anywhere._replace(T_local_base=T_found)
+        reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
+        rounds = [self._starts_before() + self._turned_starts(start, 0.0, reach_rad)]
+        if agreement < self.config.astray_share * self._usual_agreement:
+            rounds.append(self._turned_starts(start, reach_rad, math.pi))
+        for starts in rounds:
+            for T in starts:
+                match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
+                if match.status == "converged" and match.inlier_ratio > needed:
+                    needed = match.inlier_ratio
+                    best = anywhere._replace(T_local_base=T_found)
+            if best is not None:
+                break
         return best
 
-    def _other_starts(self, start: MotionState) -> list[FloatArray]:
-        """Where the robot was before, where its last motion leads, and turns as far as the prediction is open."""
-        starts = [self._T_local_before, se2.compose(self._T_local_before, self._increment_before)]
+    def _starts_before(self) -> list[FloatArray]:
+        """Where the robot was before, and where its last motion leads."""
+        return [self._T_local_before, se2.compose(self._T_local_before, self._increment_before)]
+
+    def _turned_starts(self, start: MotionState, beyond_rad: float, reach_rad: float) -> list[FloatArray]:
+        """The predicted pose turned either way, in steps, by more than one angle and up to another."""
         step_rad = self.config.turn_step_rad
-        reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
-        turns = [sign * k * step_rad for k in range(1, int(reach_rad / step_rad) + 1) for sign in (1.0, -1.0)]
-        starts += [se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]
-        return starts
+        steps = range(int(beyond_rad / step_rad) + 1, int(reach_rad / step_rad) + 1)
+        turns = [sign * k * step_rad for k in steps for sign in (1.0, -1.0)]
+        return [se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]

@@ -71,13 +71,29 @@ def learn_velocity(
     least_var: FloatArray,
     velocity: FloatArray,
     var: FloatArray,
+    cross: FloatArray,
+    var_change: FloatArray,
 ) -> None:
-    """Take a velocity from an increment (3,), and learn the variance of its change; with gain 0 only the velocity."""
+    """Take an increment (3,) into a velocity by a Kalman filter an axis, and learn the variance of its change.
+
+    An increment tells of the change as far as it tells of the velocity: less, the noisier it is.
+
+    `cross` is the covariance of the velocity with the way that was predicted by it since it was last known well.
+    """
     for i in range(3):
-        new = increment[i] / step_s
-        change2 = (new - velocity[i]) ** 2 - cov[i, i] / (step_s * step_s)
-        var[i] = max(var[i] + gain * (min(change2, 25.0 * var[i]) - var[i]), least_var[i])
-        velocity[i] = new
+        noise = cov[i, i] / (step_s * step_s)
+        innovation = increment[i] / step_s - velocity[i]
+        change2 = innovation * innovation - noise - var[i]
+        predicted = var[i] + var_change[i]
+        told = predicted / (predicted + noise)
+        var_change[i] += gain * told * (min(change2, 25.0 * var_change[i]) - var_change[i])
+        var_change[i] = max(var_change[i], least_var[i])
+        predicted = var[i] + var_change[i]
+        cross[i] += step_s * predicted
+        weight = predicted / (predicted + noise)
+        velocity[i] += weight * innovation
+        var[i] = (1.0 - weight) * predicted
+        cross[i] *= 1.0 - weight
 
 
 @kernel

@@ -116,16 +116,15 @@ class AdaptiveOdometry:
         start_s, self._scan_s = self._scan_s, history.clock.now_s
         if before is None:
             return None
-        step_s = history.clock.step_s
         told = None
         if scan.T_odom_base is not None and before.T_odom_base is not None:
             told = self._by_odometry(start_s, self._scan_s)
-        record.start_scan(told, self.previous.increment(step_s))
+        record.start_scan(told, self.previous.increment(history.clock))
         is_possible = told is None or not history.clock.is_steady or self._is_possible(told)
         if told is not None and is_possible and self.source == "odometry":
             motion = told
         else:
-            motion = self.previous.motion(step_s)
+            motion = self.previous.motion(history.clock)
         if not is_possible:
             self.calibration.exclude(self._scan_s + self.calibration.now.clock_offset_s.value)
         record.count(use_odometry=motion is told, is_possible=is_possible)
@@ -138,8 +137,11 @@ class AdaptiveOdometry:
         """See `MotionModel`."""
         now_s = self._scan_s
         record = self._record
-        record.agree(0.0 if match is None else match.agreement, self.config.error_gain)
-        if self.source == "previous motion" and record.agreement < self.config.min_agreement_to_stay:
+        record.agreement.add(0.0 if match is None else match.agreement, self.config.error_gain)
+        if (
+            self.source == "previous motion"
+            and record.agreement.values[0] < self.config.min_agreement_to_stay
+        ):
             self.source = "odometry"
         if match is not None and match.is_elsewhere and record.is_odometry_used:
             self.source = "previous motion"  # nothing explains the scan where the odometry leads
@@ -219,7 +221,7 @@ class AdaptiveOdometry:
         relative(T_before, match.T_local_base, found)
         if match.is_reliable and self._record.told is not None and self._record.is_possible:
             self._compare(self._record.told, found, match)
-        self.previous.learn(found, match.cov, self._history.clock.step_s)
+        self.previous.learn(found, match.cov, self._history.clock)
 
     def _compare(self, told: Motion, found: FloatArray, match: MatchedPose) -> None:
         """Judge both predictions by the increment (3,) that a match found."""
@@ -232,13 +234,13 @@ class AdaptiveOdometry:
             match.cov,
             config.error_lever_m,
             config.error_cap_m,
-            record.gain(config.error_gain),
+            record.errors.gain(config.error_gain),
             config.max_excess,
-            record.means,
+            record.errors.values,
         )
-        own, other, excess = record.means.tolist()
+        own, other, excess = record.errors.values.tolist()
         if self.source == "odometry":
-            is_agreed = record.agreement > config.min_agreement_to_leave
+            is_agreed = record.agreement.values[0] > config.min_agreement_to_leave
             if is_agreed and own > config.hysteresis * other and excess > config.min_excess:
                 self.source = "previous motion"
         elif other > config.hysteresis * own:
@@ -295,11 +297,10 @@ class _Record:
         self.model = (0.0, 0.0)  # variances of what was told by the noise model [m^2, rad^2]
         self.match: tuple[float, MatchedPose] | None = None  # at the scan before, and its time
         self.previous: FloatArray = np.zeros(3)
-        self.agreement = 0.0
-        self.n_agreements = 0
-        self.n_compared = 0
+        # share of returns that agree with the matches
+        self.agreement = _RunningMeans(1)
         # squared error of the odometry and of the previous motion, excess of the odometry
-        self.means = np.zeros(3)
+        self.errors = _RunningMeans(3, n_before=N_BEFORE)
 
     def start_scan(self, told: Motion | None, previous: FloatArray) -> None:
         """Take in both predictions of the next motion, the previous one as its increment (3,)."""
@@ -314,12 +315,24 @@ class _Record:
         self.n_by_previous += not use_odometry
         self.n_impossible += not is_possible
 
-    def agree(self, agreement: float, gain: float) -> None:
-        """Take the share of returns that agree with a match into the running mean."""
-        self.n_agreements += 1
-        self.agreement += max(gain, 1.0 / self.n_agreements) * (agreement - self.agreement)
+
+class _RunningMeans:
+    """Means of which the latest value has a fixed weight, and at first that of an equal share.
+
+    Attributes
+    ----------
+    values : (n,) array
+    """
+
+    def __init__(self, n: int, n_before: int = 0) -> None:
+        self.values = np.zeros(n)
+        self._n = n_before
 
     def gain(self, gain: float) -> float:
-        """Weight of the latest comparison in the running means: an equal share at first, after `N_BEFORE` of zeros."""
-        self.n_compared += 1
-        return max(gain, 1.0 / (self.n_compared + N_BEFORE))
+        """Weight of the next value."""
+        self._n += 1
+        return max(gain, 1.0 / self._n)
+
+    def add(self, value: float, gain: float) -> None:
+        """Take in the next value."""
+        self.values += self.gain(gain) * (value - self.values)

@@ -42,7 +42,7 @@ class OdometryOrPreviousMotion:
             self._is_first = False
             return None
         if before is None or scan.T_odom_base is None:
-            motion = self.previous.motion(self._clock.step_s)
+            motion = self.previous.motion(self._clock)
         else:
             increment = se2.between(before, scan.T_odom_base)
             motion = Motion(increment=increment, cov=self.noise.covariance(increment))
@@ -53,7 +53,7 @@ class OdometryOrPreviousMotion:
         """See `MotionModel`; the previous motion learns from what was found, by whichever match."""
         if self._T_local_before is not None:
             found = se2.between(self._T_local_before, T_local_base)
-            self.previous.learn(found, FOUND_COV, self._clock.step_s)
+            self.previous.learn(found, FOUND_COV, self._clock)
         self._T_local_before = T_local_base
 
     def report(self) -> OdometryReport:

@@ -46,6 +46,11 @@ class ScanClock:
         self._usual_s = math.nan
         self._stamp = math.nan
 
+    @property
+    def usual_s(self) -> float:
+        """Usual step [s]."""
+        return FIRST_STEP_S if math.isnan(self._usual_s) else self._usual_s
+
     def advance(self, stamp: float, *, has_track: bool = False) -> None:
         """Move on to the next scan; where the log gives the odometry's own samples, long gaps count too."""
         step_s = stamp - self._stamp

@@ -1,4 +1,4 @@
-"""The previous motion as a prediction: the robot goes on as it went from the scan before last to the last."""
+"""The previous motion as a prediction: the robot goes on as it went."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,18 @@ import numpy as np
 
 from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
-from slammot_graph.odometry._motion_kernels import learn_velocity
+from slammot_graph.odometry._motion_kernels import learn_velocity, prediction_error2
+from slammot_graph.odometry.history import USUAL_RATIO, ScanClock
 from slammot_graph.odometry.motion import Motion
 
 MAX_STEP_S = 1.0
 """The previous motion is not believed to go on for longer."""
+
+LEVER_M, CAP_M = 2.0, 0.5
+"""Errors of both clocks: a turn counts as its arc at this distance, and a single one for no more than this."""
+
+CLOCK_GAIN, CLOCK_RATIO = 0.02, 0.8
+"""Weight of the latest error in the mean ones; equal steps are used once their squared errors are smaller by this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,51 +38,122 @@ class PreviousMotionConfig(Checked):
     first_std_rad_per_s: Positive = 1.0
     least_std_m_per_s: Positive = 0.03
     least_std_rad_per_s: Positive = 0.03
-    gain: PositiveShare = 0.03
+    gain: PositiveShare = 0.1
+
+
+class Velocity:
+    """Velocity of the base by a Kalman filter, axis by axis, that learns how far it changes.
+
+    Attributes
+    ----------
+    value : (3,) array
+        [m/s, m/s, rad/s].
+    var : (3,) array
+        Its variance.
+    var_change : (3,) array
+        Variance of its change from scan to scan.
+    cross : (3,) array
+        Covariance with the way that was predicted by it: down a bare corridor, where no match corrects it, one error of
+        the velocity adds up over all steps.
+    """
+
+    def __init__(self, config: PreviousMotionConfig) -> None:
+        self.value: FloatArray = np.zeros(3)
+        self.var_change: FloatArray = _squares(config.first_std_m_per_s, config.first_std_rad_per_s)
+        self.var: FloatArray = self.var_change.copy()
+        self.cross: FloatArray = np.zeros(3)
+        self._least_var = _squares(config.least_std_m_per_s, config.least_std_rad_per_s)
+
+    def learn(self, increment: FloatArray, cov: FloatArray, step_s: float, gain: float) -> None:
+        """Take in an increment (3,) and its covariance (3, 3)."""
+        learn_velocity(
+            increment,
+            cov,
+            step_s,
+            gain,
+            self._least_var,
+            self.value,
+            self.var,
+            self.cross,
+            self.var_change,
+        )
 
 
 class PreviousMotion:
-    """Predicts an increment from the velocity between the last two scans, and learns how far that is wrong.
+    """Predicts an increment from the velocity, and learns how far that is wrong.
+
+    The stamps of some logs are not those of the laser, but of whoever wrote them down. Where equal steps predict the
+    motion better than the steps of the stamps do, the steps count as equal.
 
     Attributes
     ----------
     config : PreviousMotionConfig
-    velocity : (3,) array
-        Of the base between the last two scans [m/s, m/s, rad/s].
-    var : (3,) array
-        Variance of its change from scan to scan.
+    by_stamps, by_count : Velocity
+        With the steps of the stamps, and with equal ones.
     """
 
     def __init__(self, config: PreviousMotionConfig) -> None:
         self.config = config
-        self.velocity: FloatArray = np.zeros(3)
-        self.var: FloatArray = _squares(config.first_std_m_per_s, config.first_std_rad_per_s)
-        self._least_var = _squares(config.least_std_m_per_s, config.least_std_rad_per_s)
+        self.by_stamps, self.by_count = Velocity(config), Velocity(config)
+        self._errors2 = np.zeros(2)  # mean squared ones by stamps and by count
         self._n_missed = 0
+
+    @property
+    def is_by_count(self) -> bool:
+        """Whether the steps count as equal."""
+        by_stamps, by_count = self._errors2.tolist()
+        return bool(by_count < CLOCK_RATIO * by_stamps)
+
+    @property
+    def velocity(self) -> Velocity:
+        """The velocity in use."""
+        return self.by_count if self.is_by_count else self.by_stamps
 
     @property
     def std(self) -> FloatArray:
         """(3,) standard deviation of the velocity's change from scan to scan."""
-        return np.asarray(np.sqrt(self.var))
+        return np.asarray(np.sqrt(self.velocity.var_change))
 
-    def increment(self, step_s: float) -> FloatArray:
-        """(3,) motion over the next `step_s`."""
-        return min(step_s, MAX_STEP_S) * self.velocity
+    def increment(self, clock: ScanClock) -> FloatArray:
+        """(3,) motion over the latest step of the clock."""
+        return min(self._step_s(clock), MAX_STEP_S) * self.velocity.value
 
-    def motion(self, step_s: float) -> Motion:
-        """Predict the motion over the next `step_s`; after scans that were not matched it is known less well."""
+    def motion(self, clock: ScanClock) -> Motion:
+        """Predict the motion over the latest step of the clock.
+
+        After scans that were not matched it is known less well. Over a gap the robot may have stopped, or gone on for
+        the whole of it.
+        """
+        velocity, step_s = self.velocity, self._step_s(clock)
         spread_s = (1 + self._n_missed) * step_s
-        return Motion(increment=self.increment(step_s), cov=np.diag(spread_s * spread_s * self.var))
+        var = spread_s * spread_s * (velocity.var_change + velocity.var) + 2.0 * spread_s * velocity.cross
+        gap_s = step_s - clock.usual_s
+        if step_s > USUAL_RATIO * clock.usual_s:
+            var = var + np.square(gap_s * velocity.value)
+            var[:2] = var[:2].max()  # it may have turned meanwhile
+        return Motion(increment=self.increment(clock), cov=np.diag(var))
 
-    def learn(self, increment: FloatArray, cov: FloatArray, step_s: float) -> None:
-        """Take in an increment (3,) that a match found, and its covariance (3, 3)."""
+    def learn(self, increment: FloatArray, cov: FloatArray, clock: ScanClock) -> None:
+        """Take in an increment (3,) over the latest step that a match found, and its covariance (3, 3)."""
         gain = 0.0 if self._n_missed else self.config.gain
-        learn_velocity(increment, cov, step_s, gain, self._least_var, self.velocity, self.var)
+        if gain:
+            self._errors2 += CLOCK_GAIN * (
+                (
+                    prediction_error2(clock.step_s * self.by_stamps.value, increment, LEVER_M, CAP_M),
+                    prediction_error2(clock.usual_s * self.by_count.value, increment, LEVER_M, CAP_M),
+                )
+                - self._errors2
+            )
+        self.by_stamps.learn(increment, cov, clock.step_s, gain)
+        self.by_count.learn(increment, cov, clock.usual_s, gain)
         self._n_missed = 0
 
     def miss(self) -> None:
         """Go on from a scan that was not matched."""
         self._n_missed = min(self._n_missed + 1, 20)
+
+    def _step_s(self, clock: ScanClock) -> float:
+        return clock.usual_s if self.is_by_count else clock.step_s
 
 
 def _squares(std_m_per_s: float, std_rad_per_s: float) -> FloatArray:
