@@ -76,7 +76,8 @@ def learn_velocity(
 ) -> None:
     """Take an increment (3,) into a velocity by a Kalman filter an axis, and learn the variance of its change.
 
-    An increment tells of the change as far as it tells of the velocity: less, the noisier it is.
+    Increments that are noisier than all that was learnt tell of no change: down a bare corridor the robot is taken to
+    keep its speed, but for the least change.
 
     `cross` is the covariance of the velocity with the way that was predicted by it since it was last known well.
     """
@@ -84,9 +85,7 @@ def learn_velocity(
         noise = cov[i, i] / (step_s * step_s)
         innovation = increment[i] / step_s - velocity[i]
         change2 = innovation * innovation - noise - var[i]
-        predicted = var[i] + var_change[i]
-        told = predicted / (predicted + noise)
-        var_change[i] += gain * told * (min(change2, 25.0 * var_change[i]) - var_change[i])
+        var_change[i] += gain * (min(change2, 25.0 * var_change[i]) - var_change[i])
         var_change[i] = max(var_change[i], least_var[i])
         predicted = var[i] + var_change[i]
         cross[i] += step_s * predicted

@@ -38,7 +38,7 @@ class PreviousMotionConfig(Checked):
     first_std_rad_per_s: Positive = 1.0
     least_std_m_per_s: Positive = 0.03
     least_std_rad_per_s: Positive = 0.03
-    gain: PositiveShare = 0.1
+    gain: PositiveShare = 0.15
 
 
 class Velocity:

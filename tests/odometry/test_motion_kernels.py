@@ -128,3 +128,26 @@ def test_what_the_match_does_not_know_stretches_nothing(seed: int) -> None:
 def test_a_motion_without_a_covariance_is_left_alone() -> None:
     zero = np.zeros((3, 3))
     assert kernels.heavy_tail_scale(np.ones(3), np.eye(3), np.eye(3), zero, 4.0) == 1.0
+
+
+@given(seeds, st.floats(0.02, 1.0), st.sampled_from([0.0, 0.03, 0.3]))
+def test_a_velocity_is_filtered_axis_by_axis(seed: int, step_s: float, gain: float) -> None:
+    rng = np.random.default_rng(seed)
+    increment, velocity = rng.normal(0.0, 0.1, (2, 3))
+    cov = covariance(rng)
+    var, cross, var_change = rng.uniform(0.01, 0.2, (3, 3))
+    least = np.full(3, 1e-3)
+    noise = np.diag(cov) / step_s**2
+    innovation = increment / step_s - velocity
+    change2 = np.minimum(innovation**2 - noise - var, 25.0 * var_change)
+    new_change = np.maximum(var_change + gain * (change2 - var_change), least)
+    K = (var + new_change) / (var + new_change + noise)
+    expected = (
+        velocity + K * innovation,
+        (1.0 - K) * (var + new_change),
+        (1.0 - K) * (cross + step_s * (var + new_change)),
+        new_change,
+    )
+    kernels.learn_velocity(increment, cov, step_s, gain, least, velocity, var, cross, var_change)
+    for found, right in zip((velocity, var, cross, var_change), expected, strict=True):
+        np.testing.assert_allclose(found, right, rtol=1e-6)
