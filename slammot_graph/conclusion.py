@@ -10,6 +10,7 @@ from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
+from slammot_graph.mapping.tiled_grid import PartialMapError
 from slammot_graph.pipeline import Pipeline
 
 T = TypeVar("T")
@@ -52,7 +53,17 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
     final = attempt("optimised trajectory", pipeline.final, kept.online_estimate)
     T_map_base = final.T_map_base
     labels = attempt("final labels", lambda: pipeline.final_labels(T_map_base), lambda: None)
-    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
+
+    def render_map() -> GridMap:
+        if not isinstance(pipeline, Pipeline):
+            return pipeline.render_map()
+        try:
+            return pipeline.render_map(T_map_base, labels)
+        except PartialMapError as error:
+            failures["map"] = error
+            return error.grid
+
+    grid = attempt("map", render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
     n = len(kept)
     # a step that was cut short may have left a pose or a label more
     labels = None if labels is None else labels[:n]

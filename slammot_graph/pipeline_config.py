@@ -9,6 +9,7 @@ from slammot_graph.core.scan import NO_RETURN_FRACTION
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.mapping.final_map import FinalMapConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
@@ -28,6 +29,8 @@ class PipelineConfig(Checked):
         R_r of the odometry factors and of the prediction: growing with the motion, or constant as in the paper.
     grid : GridConfig
         Of the map.
+    final_map : FinalMapConfig
+        How the scans are weighted in the map, where there is a pose graph.
     max_range_m : float
         Farther returns are left aside.
     range_fraction : float
@@ -41,6 +44,7 @@ class PipelineConfig(Checked):
     tracker: NoTrackingConfig | KalmanTrackerConfig = field(default_factory=KalmanTrackerConfig)
     odometry_noise: OdometryNoise | ConstantNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
+    final_map: FinalMapConfig = field(default_factory=FinalMapConfig)
     max_range_m: Positive = 40.0
     range_fraction: PositiveShare = NO_RETURN_FRACTION
 

@@ -166,6 +166,7 @@ class OccupancyGrid:
         is_beam: BoolArray,
         is_hit: BoolArray,
         is_soft_hit: BoolArray | None = None,
+        weight: float = 1.0,
     ) -> None:
         """Take in one scan.
 
@@ -182,6 +183,8 @@ class OccupancyGrid:
             Beams whose end point occupies its cell.
         is_soft_hit : (n,) bool array, optional
             Beams whose end point fills its cell a little; by default all others that free.
+        weight : float
+            Of the scan's evidence: its log-odds are multiplied by it.
         """
         if not self.is_rolling:
             self._cover(origin, end_points[is_beam])
@@ -198,9 +201,9 @@ class OccupancyGrid:
             is_beam,
             is_hit,
             is_beam & ~is_hit if is_soft_hit is None else is_soft_hit,
-            self.l_pass,
-            self.l_hit,
-            self.l_soft,
+            weight * self.l_pass,
+            weight * self.l_hit,
+            weight * self.l_soft,
             self.config.fill_gaps,
             self.config.max_apart_cells,
             self.l_min,
