@@ -9,6 +9,7 @@ into the map.
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,10 +34,10 @@ class FinalMapConfig(Checked):
     ----------
     viewpoint_m, viewpoint_rad, viewpoint_s : float
         A viewpoint ends where the robot has moved, turned, or let pass so much since its first scan.
-    n_votes : float
-        So many scans' worth of evidence a viewpoint has at most.
+    n_votes, n_hit_votes : float
+        So many scans' worth of evidence a viewpoint has at most that a cell is free, and that it is occupied.
     n_scans : int
-        So many of a viewpoint's scans, evenly spaced, are taken at most.
+        So many of a viewpoint's scans, evenly spaced, are taken at most, and stand for the others.
     no_return : NoReturnConfig or None
         Beams without a return free the cells up to `reach_m`, but not farther than this laser has returned anything
         (a robust maximum); None: they free nothing, for lasers that lose glass, mirrors and black things.
@@ -47,8 +48,9 @@ class FinalMapConfig(Checked):
     viewpoint_m: Positive = 0.3
     viewpoint_rad: Positive = 0.35
     viewpoint_s: Positive = 5.0
-    n_votes: Positive = 5.0
-    n_scans: Count = 10
+    n_votes: Positive = 4.0
+    n_hit_votes: Positive = 2.0
+    n_scans: Count = 3
     no_return: NoReturnConfig | None = field(default_factory=NoReturnConfig)
     path_m: NotNegative = 0.2
 
@@ -85,15 +87,16 @@ def viewpoints(stamps: FloatArray, T_map_base: FloatArray, config: FinalMapConfi
     return np.array(starts, dtype=np.int64)
 
 
-def scan_weights(starts: IntArray, n: int, config: FinalMapConfig) -> Iterator[tuple[int, float]]:
-    """Give the scans to take of n, with the weight of each, from the first scans of the viewpoints."""
-    for first, end in zip(starts.tolist(), [*starts.tolist()[1:], n], strict=True):
+def scan_weights(starts: IntArray, n: int, config: FinalMapConfig) -> Iterator[tuple[int, float, float]]:
+    """Give the scans to take of n, with the weights of each, from the first scans of the viewpoints."""
+    for first, end in pairwise([*starts.tolist(), n]):
         taken = np.unique(
             np.linspace(first, end - 1, min(end - first, config.n_scans)).round().astype(np.int64)
         )
-        weight = min(1.0, config.n_votes / len(taken))
+        weight = min(float(end - first), config.n_votes) / len(taken)
+        hit_weight = min(float(end - first), config.n_hit_votes) / len(taken)
         for k in taken.tolist():
-            yield k, weight
+            yield k, weight, hit_weight
 
 
 def render_final_map(
@@ -131,7 +134,7 @@ def render_final_map(
         )
         reach = reliable_ranges(map(scan_at, looked_at))
     under_robot = config.n_votes * tiled.window.l_pass
-    for number, (k, weight) in enumerate(scan_weights(starts, n, config)):
+    for number, (k, weight, hit_weight) in enumerate(scan_weights(starts, n, config)):
         item, T = scan_at(k), T_map_base[k]
         laser = item.scan.laser
         points, is_beam = item.scan.points(T), item.is_valid
@@ -144,7 +147,7 @@ def render_final_map(
                 is_beam = is_beam | (missing & (reach_m > 0.0))
         origin = se2.transform(T, laser.origin_base[None])[0]
         is_hit = item.is_valid if grid.occupy_with_moving else item.is_static
-        tiled.update(number, origin, points, is_beam, is_hit, item.is_valid & ~is_hit, weight)
+        tiled.update(number, origin, points, is_beam, is_hit, item.is_valid & ~is_hit, weight, hit_weight)
         tiled.add_evidence(number, T[:2], under_robot * weight)
     if n and config.path_m > 0.0:
         tiled.free_around(dense_path(T_map_base[:, :2], grid.resolution_m), config.path_m)

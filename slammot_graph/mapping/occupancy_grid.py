@@ -167,6 +167,7 @@ class OccupancyGrid:
         is_hit: BoolArray,
         is_soft_hit: BoolArray | None = None,
         weight: float = 1.0,
+        hit_weight: float = 1.0,
     ) -> None:
         """Take in one scan.
 
@@ -183,8 +184,8 @@ class OccupancyGrid:
             Beams whose end point occupies its cell.
         is_soft_hit : (n,) bool array, optional
             Beams whose end point fills its cell a little; by default all others that free.
-        weight : float
-            Of the scan's evidence: its log-odds are multiplied by it.
+        weight, hit_weight : float
+            Of the scan's evidence, of what it frees and of its hits: the log-odds are multiplied by it.
         """
         if not self.is_rolling:
             self._cover(origin, end_points[is_beam])
@@ -202,8 +203,8 @@ class OccupancyGrid:
             is_hit,
             is_beam & ~is_hit if is_soft_hit is None else is_soft_hit,
             weight * self.l_pass,
-            weight * self.l_hit,
-            weight * self.l_soft,
+            hit_weight * self.l_hit,
+            hit_weight * self.l_soft,
             self.config.fill_gaps,
             self.config.max_apart_cells,
             self.l_min,

@@ -1,5 +1,7 @@
 """Occupancy grid whose memory follows what was seen, not the extent: square tiles, the nearest in one window."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
@@ -9,6 +11,7 @@ from scipy.spatial import cKDTree
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.mapping._tile_kernels import bounds
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 
 TILE = 64
@@ -20,6 +23,7 @@ MOST_CELLS = 32_000_000
 FIRST_WINDOW_M = 25.6
 _NOBODY = np.iinfo(np.int64).min
 _TileKey = tuple[int, int]
+_NOTHING_HELD: tuple[_TileKey, _TileKey] = ((0, 0), (-1, -1))
 
 
 class PartialMapError(SlammotError):
@@ -54,6 +58,7 @@ class TiledGrid:
         self.window = OccupancyGrid(config, window_m=max(FIRST_WINDOW_M, TILE * config.resolution_m))
         self._tiles: dict[_TileKey, npt.NDArray[np.float32]] = {}
         self._owner = self._no_owners()
+        self._held = _NOTHING_HELD
 
     def update(
         self,
@@ -64,21 +69,20 @@ class TiledGrid:
         is_hit: BoolArray,
         is_soft_hit: BoolArray,
         weight: float = 1.0,
+        hit_weight: float = 1.0,
     ) -> None:
-        """Take in one scan as `OccupancyGrid.update` does, its evidence times `weight` (at least 0)."""
-        is_used = is_beam | is_hit | is_soft_hit
-        corners = np.vstack([origin[None], end_points[is_used]])
-        self._hold(corners)
-        self.window.update(now, origin, end_points, is_beam, is_hit, is_soft_hit, weight)
+        """Take in one scan; see `OccupancyGrid.update`."""
+        self._hold(*bounds(origin, end_points, is_beam, is_hit, is_soft_hit))
+        self.window.update(now, origin, end_points, is_beam, is_hit, is_soft_hit, weight, hit_weight)
 
     def add_evidence(self, now: int, point: FloatArray, log_odds: float) -> None:
         """Add log-odds to the cell at a point (2,) [m], within the bounds of a cell."""
-        self._hold(point[None])
         window = self.window
-        i, j = (
-            np.floor(point[::-1] * window.inv_resolution).astype(np.int64) & (len(window.stamp) - 1)
-        ).tolist()
-        before = window.log_odds[i, j] if window.stamp[i, j] >= 0 else 0.0
+        x, y = point.tolist()
+        self._hold(x, y, x, y)
+        mask = len(window.stamp) - 1
+        i, j = math.floor(y * window.inv_resolution) & mask, math.floor(x * window.inv_resolution) & mask
+        before = float(window.log_odds[i, j]) if window.stamp[i, j] >= 0 else 0.0
         window.log_odds[i, j] = min(max(before + log_odds, window.l_min), window.l_max)
         window.stamp[i, j] = now
 
@@ -86,13 +90,16 @@ class TiledGrid:
         """Make the cells within a distance of points (n, 2) [m] free where they are not occupied."""
         self._put_all_aside()
         cells = _cells_around(points, radius_m, self.config.resolution_m)
+        if not len(cells):
+            return
         free = np.float32(0.5 * (self.window.l_free + self.window.l_min))
-        keys, which = np.unique(cells // TILE, axis=0, return_inverse=True)
-        order = np.argsort(which.ravel(), kind="stable")
-        ends = np.cumsum(np.bincount(which.ravel(), minlength=len(keys)))
-        for key, group in zip(keys.tolist(), np.split(order, ends[:-1]), strict=True):
+        tile_of = cells // TILE
+        order = np.lexsort((tile_of[:, 1], tile_of[:, 0]))
+        cells, tile_of = cells[order], tile_of[order]
+        first = np.flatnonzero(np.any(np.diff(tile_of, axis=0, prepend=tile_of[:1] - 1) != 0, axis=1))
+        for key, group in zip(tile_of[first].tolist(), np.split(cells, first[1:]), strict=True):
             tile = self._tiles.setdefault((key[0], key[1]), _unseen_tile())
-            i, j = (cells[group] % TILE).T
+            i, j = (group % TILE).T
             value = tile[i, j]
             tile[i, j] = np.where(value > self.window.l_occupied, value, np.fmin(value, free))
 
@@ -151,15 +158,24 @@ class TiledGrid:
             origin=corner * resolution_m,
         )
 
-    def _hold(self, points: FloatArray) -> None:
-        """Bring the tiles around points (n, 2) [m] into the window, with a cell of margin."""
+    def _hold(self, x_low: float, y_low: float, x_high: float, y_high: float) -> None:
+        """Bring the tiles of a rectangle [m] into the window, with a cell of margin."""
         scale = self.window.inv_resolution
-        low = (np.floor(points.min(axis=0) * scale).astype(np.int64) - 1)[::-1] // TILE
-        high = (np.floor(points.max(axis=0) * scale).astype(np.int64) + 1)[::-1] // TILE
+        low = (math.floor(y_low * scale) - 1) // TILE, (math.floor(x_low * scale) - 1) // TILE
+        high = (math.floor(y_high * scale) + 1) // TILE, (math.floor(x_high * scale) + 1) // TILE
+        held_low, held_high = self._held
+        if (
+            held_low[0] <= low[0]
+            and held_low[1] <= low[1]
+            and high[0] <= held_high[0]
+            and high[1] <= held_high[1]
+        ):
+            return
         n_slots = len(self._owner)
-        if np.max(high - low) >= n_slots:
+        span = max(high[0] - low[0], high[1] - low[1])
+        if span >= n_slots:
             self._put_all_aside()
-            while np.max(high - low) >= n_slots:
+            while span >= n_slots:
                 n_slots *= 2
             self.window = OccupancyGrid(
                 self.config, window_m=n_slots * TILE * self.config.resolution_m * 0.99
@@ -171,6 +187,7 @@ class TiledGrid:
         is_other = (owner[..., 0] != i[:, None]) | (owner[..., 1] != j[None])
         for a, b in np.argwhere(is_other).tolist():
             self._swap_in((int(i[a]), int(j[b])))
+        self._held = low, high
 
     def _swap_in(self, key: _TileKey) -> None:
         """Give a tile its place in the window, in which another may lie."""
@@ -201,6 +218,7 @@ class TiledGrid:
     def _put_all_aside(self) -> None:
         for a, b in np.argwhere(self._owner[..., 0] != _NOBODY).tolist():
             self._put_aside((a, b))
+        self._held = _NOTHING_HELD
 
     def _place(self, slot: _TileKey) -> tuple[slice, slice]:
         row, col = slot[0] * TILE, slot[1] * TILE
@@ -236,5 +254,15 @@ def _cells_around(points: FloatArray, radius_m: float, resolution_m: float) -> I
     steps = np.arange(-reach, reach + 1)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     offsets = offsets[np.hypot(*offsets.T) * resolution_m <= radius_m + 0.75 * resolution_m]
-    own = np.unique(np.floor(points[:, ::-1] / resolution_m).astype(np.int64), axis=0)
-    return np.unique((own[:, None] + offsets[None]).reshape(-1, 2), axis=0)
+    own = _unique_rows(np.floor(points[:, ::-1] / resolution_m).astype(np.int64))
+    return _unique_rows((own[:, None] + offsets[None]).reshape(-1, 2))
+
+
+def _unique_rows(rows: IntArray) -> IntArray:
+    """Each of some rows (n, 2) once."""
+    if not len(rows):
+        return rows
+    low, span = rows.min(axis=0), np.ptp(rows, axis=0) + 1
+    flat = np.unique((rows[:, 0] - low[0]) * span[1] + (rows[:, 1] - low[1]))
+    unique: IntArray = np.column_stack(np.divmod(flat, span[1])) + low
+    return unique
