@@ -15,6 +15,10 @@ from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
+MOST_RANGE_M = 1000.0
+MOST_CELLS_A_SIDE = 8192
+"""Of the square around the robot that the laser reaches."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineConfig(Checked):
@@ -51,9 +55,18 @@ class PipelineConfig(Checked):
     def __post_init__(self) -> None:
         """See `Checked`."""
         super().__post_init__()
+        self.require(
+            self.max_range_m <= MOST_RANGE_M,
+            f"must be at most {MOST_RANGE_M:g} m, which no such laser reaches, not {self.max_range_m:g}",
+            key="max_range_m",
+        )
+        self._require_memory("grid", self.grid, 0.0)
         if not isinstance(self.detector, EllipseDetectorConfig):
             return
         has_local_grid = self.detector.local_grid is not None
+        if self.detector.local_grid is not None:
+            local = self.detector.local_grid
+            self._require_memory("detector.local_grid", local, local.window_margin_m)
         has_constant_noise = isinstance(self.detector.test_covariance, ConstantNoise)
         name = type(self.localizer).__name__
         self.require(
@@ -70,6 +83,16 @@ class PipelineConfig(Checked):
             self.has_graph or has_constant_noise,
             f"must be a table of constant noise: {name} has no pose graph",
             key="detector.test_covariance",
+        )
+
+    def _require_memory(self, key: str, grid: GridConfig, margin_m: float) -> None:
+        """Refuse cells so small that those in the reach of the laser take more than half a gigabyte."""
+        side_m = 2.0 * self.max_range_m + margin_m
+        self.require(
+            side_m <= MOST_CELLS_A_SIDE * grid.resolution_m,
+            f"must be at least {side_m / MOST_CELLS_A_SIDE:.3g} m for a max_range_m of {self.max_range_m:g} m, not"
+            f" {grid.resolution_m:g}; take larger cells or a smaller max_range_m",
+            key=f"{key}.resolution_m",
         )
 
     @property

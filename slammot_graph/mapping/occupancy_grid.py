@@ -7,10 +7,16 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare
+from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.scan import NO_RETURN_FRACTION, Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping._grid_kernels import update_beams
+
+LEAST_CELL_M, MOST_CELL_M = 1e-3, 10.0
+
+MOST_CELLS = 1 << 27
+"""Of a grid in one piece: 8 bytes each."""
 
 
 def _logit(p: float) -> float:
@@ -77,6 +83,11 @@ class GridConfig(Checked):
     def __post_init__(self) -> None:
         """See `Checked`."""
         super().__post_init__()
+        self.require(
+            LEAST_CELL_M <= self.resolution_m <= MOST_CELL_M,
+            f"must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m, not {self.resolution_m:g}",
+            key="resolution_m",
+        )
         self.require(
             0.0 < self.p_min < self.p_pass < 0.5 < self.p_hit < self.p_max < 1.0,
             "needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1",
@@ -284,6 +295,12 @@ class OccupancyGrid:
             col0, cols = (col0 - cols if low[0] < col0 else col0), 2 * cols
         if (rows, cols) == self.log_odds.shape:
             return
+        if rows * cols > MOST_CELLS:
+            extent_m = max(rows, cols) * self.config.resolution_m
+            raise SlammotError(
+                f"the map has grown to {extent_m:.0f} m in cells of {self.config.resolution_m:g} m, more than memory"
+                " holds; look for a leap in the trajectory, or take a larger grid.resolution_m"
+            )
         log_odds = np.zeros((rows, cols), dtype=np.float32)
         stamp = np.full((rows, cols), -1, dtype=np.int32)
         i, j = self.row0 - row0, self.col0 - col0
