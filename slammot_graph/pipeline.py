@@ -2,6 +2,7 @@
 
 import math
 from array import array
+from collections.abc import Sequence
 from types import TracebackType
 
 import numpy as np
@@ -21,6 +22,7 @@ from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
+from slammot_graph.mapping.final_map import MapScan, render_final_map
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import ScanView, track_states
@@ -46,7 +48,7 @@ class Pipeline:
     tracker : Tracker
     health : HealthMonitor
     grid : OccupancyGrid or None
-        The map as it grows; None where it is made from the graph's nodes at the end.
+        The map as it grows; None where it is made from all scans at the end.
 
     Examples
     --------
@@ -63,7 +65,6 @@ class Pipeline:
         self.tracker = make_tracker(config.tracker)
         self.health = HealthMonitor()
         self._history = ScanHistory()
-        self._node_scans = array("q")
         self._sightings = SightingHistory()
         self._stamps = array("d")
         self._stopwatch = Stopwatch()
@@ -95,8 +96,6 @@ class Pipeline:
         watch.lap("detect")
         committed = self.localizer.commit(scan, scan.points_base(), is_static)
         watch.lap("graph")
-        if committed.node is not None:
-            self._node_scans.append(len(self._history))
         if self.grid is not None:
             self.grid.add_scan(scan.index, scan, matched.T_local_base, points, is_valid, is_static)
         self.detector.update(
@@ -192,20 +191,37 @@ class Pipeline:
         """Give the trajectory and the graph of all scans so far, optimised."""
         return self.localizer.final()
 
-    def render_map(self) -> GridMap:
-        """Render the map: from the nodes' scans at their optimised poses where there is a graph."""
+    def render_map(
+        self, T_map_base: FloatArray | None = None, labels: Sequence[BoolArray] | None = None
+    ) -> GridMap:
+        """Render the map: where there is a graph from all scans, weighted by viewpoint (`mapping.final_map`).
+
+        Parameters
+        ----------
+        T_map_base : (n, 3) array, optional
+            Optimised poses of the scans so far; computed if not given.
+        labels : sequence of n bool arrays, optional
+            Which points move; by default as decided at the time.
+
+        Raises
+        ------
+        PartialMapError
+            Not all that was seen fits into one map.
+        """
         if self.grid is not None:
             return self.grid.to_map()
-        grid = OccupancyGrid(self.config.grid)
-        for number, T_map_base in zip(self._node_scans, self.nodes_and_edges()[0], strict=False):
-            if number == len(self._history):  # the scan at which a run was cut short
-                break
-            seen = self._history[number]
-            points = seen.scan.points(T_map_base)
-            grid.add_scan(
-                number, seen.scan, T_map_base, points, seen.is_valid, seen.is_valid & ~seen.is_moving
-            )
-        return grid.to_map()
+        poses = self.final().T_map_base if T_map_base is None else T_map_base
+        n = min(len(self._history), len(poses))  # a run may have been cut short within a scan
+
+        def scan_at(k: int) -> MapScan:
+            seen = self._history[k]
+            is_moving = seen.is_moving if labels is None else labels[k]
+            return MapScan(scan=seen.scan, is_valid=seen.is_valid, is_static=seen.is_valid & ~is_moving)
+
+        stamps = np.array(self._history.stamps[:n])
+        return render_final_map(
+            scan_at, stamps, poses[:n], grid=self.config.grid, config=self.config.final_map
+        )
 
     def crop_test_grid(self, centre_map: FloatArray, half_side_m: float) -> tuple[GridMap, FloatArray]:
         """Give the test's grid as it is now around a place (2,) of the map [m]: as the next scan's test sees it.
@@ -283,7 +299,7 @@ class Pipeline:
         matched: Estimate,
         match: MatchResult | None,
     ) -> None:
-        """Keep what the final labels and the map of the nodes' scans need."""
+        """Keep what the final labels and the map need."""
         if not (self.detector.has_backward_pass or self.grid is None):
             return
         self._history.append(

@@ -54,11 +54,17 @@ class ScanRecord:
 
 
 class ScanHistory(Sequence[ScanRecord]):
-    """All scans of a run in their order: 5 bytes a beam, on the disk once they are many."""
+    """All scans of a run in their order: 5 bytes a beam, on the disk once they are many.
+
+    Attributes
+    ----------
+    stamps : array of n floats [s]
+    """
 
     def __init__(self) -> None:
         self._lasers: list[LaserModel] = []
         self._places = array("q")
+        self.stamps = array("d")
         self._file = SpooledTemporaryFile(max_size=MOST_IN_MEMORY)  # noqa: SIM115
         weakref.finalize(self, self._file.close)
         self._end = 0
@@ -104,6 +110,7 @@ class ScanHistory(Sequence[ScanRecord]):
                 "free some space, or set TMPDIR to a folder that has some"
             ) from error
         self._places.append(self._end)
+        self.stamps.append(scan.stamp)
         self._end += len(packed)
 
     @overload

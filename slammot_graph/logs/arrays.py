@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.files import check_npz
 from slammot_graph.core.scan import LaserModel, ScanTruth
 from slammot_graph.core.types import FloatArray
 from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
@@ -164,6 +165,7 @@ def write_npz_log(
 
 def _load(path: Path) -> dict[str, npt.NDArray[Any]]:
     """The known arrays of a file."""
+    check_npz(path)
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             return {

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Reader as Reader1
 from rosbags.typesys import Stores, get_typestore
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.logs.bag_index import read_long_indices
 from slammot_graph.logs.bag_topics import Topic
 from slammot_graph.logs.base import one_line
 
@@ -105,6 +107,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        for part in reader.readers:
+            if isinstance(part, Reader1):
+                read_long_indices(part)
         reader.open()
     except Exception as err:  # the decoders of a damaged file may raise anything
         raise _unreadable(path, err) from None

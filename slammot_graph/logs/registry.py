@@ -3,8 +3,10 @@
 from pathlib import Path
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import check_regular
 from slammot_graph.logs.arrays import ArrayLog
 from slammot_graph.logs.bag_odometry import FrameNames
+from slammot_graph.logs.base import damage_told
 from slammot_graph.logs.carmen import CarmenLog
 from slammot_graph.logs.mounting import check_laser_pose
 from slammot_graph.logs.rosbag import BagChoices, RosbagLog
@@ -61,30 +63,35 @@ def open_log(
     """
     path = Path(path)
     check_laser_pose(laser_pose)
+    choices = BagChoices(
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        imu_topic=imu_topic,
+        frames=FrameNames(odom=odom_frame, base=base_frame),
+        laser_pose=laser_pose,
+        odometry=odometry,
+    )
+    with damage_told(path):
+        return _open(path, choices)
+
+
+def _open(path: Path, choices: BagChoices) -> LaserLog:
     if _holds_a_bag(path):
         bag_path = _bag_in_folder(path) if path.is_dir() else path
-        choices = BagChoices(
-            scan_topic=scan_topic,
-            odom_topic=odom_topic,
-            imu_topic=imu_topic,
-            frames=FrameNames(odom=odom_frame, base=base_frame),
-            laser_pose=laser_pose,
-            odometry=odometry,
-        )
         return RosbagLog(bag_path, choices)
-    if any(name is not None for name in (scan_topic, odom_topic, imu_topic)):
+    if any(name is not None for name in (choices.scan_topic, choices.odom_topic, choices.imu_topic)):
         raise InputError(
             f"{path}: not a bag, so it has no topics; leave out --scan-topic, --odom-topic and --imu-topic"
         )
-    if odom_frame is not None or base_frame is not None:
+    if choices.frames.odom is not None or choices.frames.base is not None:
         raise InputError(f"{path}: not a bag, so it has no frames; leave out --odom-frame and --base-frame")
     start = read_start(path)
     if start.startswith(NPZ_MAGIC):
-        return ArrayLog(path, laser_pose=laser_pose, odometry=odometry)
+        return ArrayLog(path, laser_pose=choices.laser_pose, odometry=choices.odometry)
     if path.suffix in (".npz", *BAG_MAGIC.values()) or b"\x00" in start:
         what = f"not a {path.suffix} file, whatever its name says" if path.suffix else "of no known format"
         raise InputError(f"{path}: {what}; known are {KNOWN_FORMATS}")
-    return CarmenLog(path, laser_pose=laser_pose, odometry=odometry)
+    return CarmenLog(path, laser_pose=choices.laser_pose, odometry=choices.odometry)
 
 
 def _holds_a_bag(path: Path) -> bool:
@@ -93,6 +100,7 @@ def _holds_a_bag(path: Path) -> bool:
         raise InputError(f"{path}: no such file or folder; check the path")
     if path.is_dir():
         return True
+    check_regular(path)
     start = read_start(path)
     if not start:
         raise InputError(f"{path}: the file is empty; copy or record it again")
