@@ -94,6 +94,15 @@ class Localizer(Protocol):
     def predict(self, scan: Scan) -> Estimate:
         """Carry the last estimate along the motion to the new scan."""
 
+    def deskew(self, scan: Scan) -> Scan:
+        """Give the new scan with the motion during its sweep; a scan without beam times comes back as it is."""
+
+    def deskew_again(self, scan: Scan, is_static: BoolArray) -> Scan | None:
+        """Give the deskewed scan by what its latest match tells of the motion too; None: it tells nothing new.
+
+        The next match is made with it.
+        """
+
     def match(
         self,
         points_base: FloatArray,

@@ -27,7 +27,7 @@ class ScanToScan(DeadReckoning):
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
         self._before = self.estimate
-        self._laser_base = scan.laser.origin_base
+        self._laser_base = scan.origins_base
         return super().predict(scan)
 
     def match(

@@ -129,6 +129,12 @@ class OdometryHistory:
                 out += ahead_s[:, None] * speed
         return out
 
+    @property
+    def end_s(self) -> float:
+        """Time of the latest pose known [s]; minus infinity where none is."""
+        times, _ = self._samples()
+        return float(times[-1]) if len(times) else -math.inf
+
     def pose_at(self, time_s: float) -> FloatArray:
         """(3,) pose at one time of the clock; see `at`."""
         times, poses = self._samples()

@@ -58,6 +58,11 @@ class PreviousMotion:
         """(3,) standard deviation of the velocity's change from scan to scan."""
         return np.asarray(np.sqrt(self.var))
 
+    @property
+    def cov_velocity(self) -> FloatArray:
+        """(3, 3) covariance of the velocity after the latest scan; after scans that were not matched it is larger."""
+        return np.diag((1 + self._n_missed) ** 2 * self.var)
+
     def increment(self, step_s: float) -> FloatArray:
         """(3,) motion over the next `step_s`."""
         return min(step_s, MAX_STEP_S) * self.velocity

@@ -73,7 +73,7 @@ def test_the_kernel_equals_its_twin(seed: int, sense: float, field_rad: float, i
             points,
             is_used,
             T_base,
-            T_base_laser[:2].copy(),
+            T_base_laser[None, :2].copy(),
             np.column_stack([np.cos(in_base), np.sin(in_base)]),
             in_base[0],
             angles[1] - angles[0],
