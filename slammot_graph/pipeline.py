@@ -199,15 +199,8 @@ class Pipeline:
     def _match(
         self, scan: Scan, is_valid: BoolArray, detection: Detection, predicted_positions: FloatArray
     ) -> tuple[Scan, Estimate, MatchResult | None, Detection]:
-        """Match what does not move and test again at the matched pose; in a crowd, once more with a narrower kernel.
-
-        The first match tells how a sweep has to be deskewed once more.
-        """
-        is_static = is_valid & ~detection.is_moving
-        matched, match = self.localizer.match(scan.points_base(), is_static, is_valid=is_valid)
-        while (deskewed := self.localizer.deskew_again(scan, is_static)) is not None:
-            scan = deskewed
-            matched, match = self.localizer.match(scan.points_base(), is_static, is_valid=is_valid)
+        """Match what does not move and test again at the matched pose; in a crowd, once more with a narrower kernel."""
+        scan, matched, match = self._match_sweep(scan, is_valid, detection)
         self._stopwatch.lap("match")
         if match is None:
             return scan, matched, match, detection
@@ -215,15 +208,26 @@ class Pipeline:
         factor = self.detector.kernel_factor(detection, is_valid)
         if factor < 1.0:
             self._stopwatch.lap("detect")
-            matched, match = self.localizer.match(
-                scan.points_base(), is_valid & ~detection.is_moving, factor, is_valid
-            )
+            scan, matched, match = self._match_sweep(scan, is_valid, detection, factor)
             self._stopwatch.lap("match")
             if match is not None:
                 detection = self.detector.retest(
                     scan, is_valid, detection, matched, match, predicted_positions
                 )
         return scan, matched, match, detection
+
+    def _match_sweep(
+        self, scan: Scan, is_valid: BoolArray, detection: Detection, kernel_factor: float = 1.0
+    ) -> tuple[Scan, Estimate, MatchResult | None]:
+        """Match a scan; a sweep again and again, as each match tells how to deskew it better."""
+        localizer, is_static = self.localizer, is_valid & ~detection.is_moving
+        matched, match = localizer.match(scan.points_base(), is_static, kernel_factor, is_valid)
+        if scan.sweep is None:
+            return scan, matched, match
+        while (deskewed := localizer.deskew_again(scan, is_static)) is not None:
+            scan = deskewed
+            localizer.match(scan.points_base(), is_static, kernel_factor, is_valid)
+        return localizer.join_sweep(scan)
 
     def _track(self, scan: Scan, detection: Detection, points: FloatArray) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""

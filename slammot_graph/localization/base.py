@@ -103,6 +103,9 @@ class Localizer(Protocol):
         The next match is made with it.
         """
 
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """Give the deskewed scan, its estimate and its match by what the sweep before tells of where this one began."""
+
     def match(
         self,
         points_base: FloatArray,

@@ -46,6 +46,10 @@ class DeadReckoning:
         """See `Localizer`; nothing new is told."""
         return None
 
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """See `Localizer`; nothing is joined."""
+        return scan, self.estimate, None
+
     def match(
         self,
         points_base: FloatArray,

@@ -17,7 +17,7 @@ from slammot_graph.localization.graph_insertion import GraphInsertion
 from slammot_graph.localization.lost_detector import LostDetector
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.localization.scan_poses import ScanPoses
-from slammot_graph.localization.sweep_estimate import SweepEstimate
+from slammot_graph.localization.sweep_estimate import SweepEnd, SweepEstimate
 from slammot_graph.loop_closure import LoopCloser
 from slammot_graph.mapping.local_map import NO_NODE, LocalMap, make_keyframe
 from slammot_graph.odometry.motion import MatchedPose
@@ -50,6 +50,8 @@ class ScanToMap:
         self.insertion = GraphInsertion(config, self.local_map)
         self._match: MatchResult | None = None
         self._sweep: SweepEstimate | None = None
+        self._sweep_before: SweepEnd | None = None
+        self._sweep_end: SweepEnd | None = None
         self._T_local_anchor: FloatArray = se2.IDENTITY
         self._scan_poses = ScanPoses()
 
@@ -72,7 +74,7 @@ class ScanToMap:
         """See `Localizer`."""
         self.propagation.predict(scan)
         self.matching.start_scan(scan.origins_base, self.propagation.T_local_before)
-        self._sweep = None
+        self._sweep, self._sweep_before, self._sweep_end = None, self._sweep_end, None
         return self._estimate()
 
     def deskew(self, scan: Scan) -> Scan:
@@ -122,6 +124,7 @@ class ScanToMap:
         events = self._look_for_loss(scan, has_points)
         is_lost = any(event.kind == "lost" for event in events)
         if is_lost:
+            self._sweep_end = None
             propagation.lose_track(self.config.lost_cov, self.config.lost_distance_m)
             insertion.start_component(propagation.path_m)
         state, T_odom_base = propagation.state, propagation.T_odom_base
@@ -174,6 +177,14 @@ class ScanToMap:
     def close(self) -> None:
         """See `Localizer`."""
         self.graph.close()
+
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """See `Localizer`: by a Kalman update of pose and velocity."""
+        if self._sweep is None or self._match is None:
+            return scan, self._estimate(), self._match
+        scan, joined, self.propagation.state, self._sweep_end = self._sweep.joined(scan, self._sweep_before)
+        self._match = replace(joined, contradicts_odometry=self._match.contradicts_odometry)
+        return self._seen_from(scan), self._estimate(), self._match
 
     def _seen_from(self, scan: Scan) -> Scan:
         """Let the next match know where the beams of a deskewed scan start."""
