@@ -6,8 +6,10 @@ begins: by a Kalman update both are joined there.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import invert
@@ -152,8 +154,7 @@ class SweepEstimate:
         h[3:, 3:] += prior_information
         g[3:] += prior_information @ self.velocity
         gain = np.linalg.solve(h[:3, :3], h[:3, 3:])
-        cov_velocity = np.linalg.inv(h[3:, 3:] - h[3:, :3] @ gain)
-        cov_velocity = 0.5 * (cov_velocity + cov_velocity.T)
+        cov_velocity = _symmetric(np.linalg.inv(h[3:, 3:] - h[3:, :3] @ gain))
         step = -cov_velocity @ (g[3:] - gain.T @ g[:3])
         self.velocity = self.velocity + step
         self.cov_pose = gain @ cov_velocity @ gain.T
@@ -191,8 +192,7 @@ class SweepEstimate:
             told = np.linalg.inv(cov[:3] + ended[1])
             if float(innovation @ told @ innovation) < MAX_NIS:
                 step = cov @ told @ innovation
-                cov_velocity = cov_velocity - cov[3:] @ told @ cov[3:].T
-                cov_velocity = 0.5 * (cov_velocity + cov_velocity.T)
+                cov_velocity = _symmetric(cov_velocity - cov[3:] @ told @ cov[3:].T)
                 sweep = self.prior.corrected(self.velocity + step[3:], cov_velocity)
         pose_step, extra = se2.exp(step[:3]), gain @ cov_velocity @ gain.T
         match, state = _widened(match, state, extra)
@@ -221,7 +221,11 @@ def _widened(match: MatchResult, state: MotionState, extra: FloatArray) -> tuple
     )
 
 
+def _symmetric(cov: npt.NDArray[Any]) -> FloatArray:
+    return np.asarray(0.5 * (cov + cov.T), dtype=np.float64)
+
+
 def _less(information: FloatArray, extra: FloatArray) -> FloatArray:
     """(3, 3) information of what has an extra covariance (3, 3); the information may be singular."""
     less = np.linalg.solve(np.eye(3) + information @ extra, information)
-    return np.asarray(0.5 * (less + less.T))
+    return _symmetric(less)
