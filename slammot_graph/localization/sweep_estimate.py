@@ -153,7 +153,7 @@ class SweepEstimate:
         h[:3, :3] += invert(cov_prior)
         h[3:, 3:] += prior_information
         g[3:] += prior_information @ self.velocity
-        gain = np.linalg.solve(h[:3, :3], h[:3, 3:])
+        gain: FloatArray = np.linalg.solve(h[:3, :3], h[:3, 3:]).astype(np.float64)
         cov_velocity = _symmetric(np.linalg.inv(h[3:, 3:] - h[3:, :3] @ gain))
         step = -cov_velocity @ (g[3:] - gain.T @ g[:3])
         self.velocity = self.velocity + step
