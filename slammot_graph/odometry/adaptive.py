@@ -137,11 +137,13 @@ class AdaptiveOdometry:
         if scan.T_odom_base is not None and (record.told is None or record.is_odometry_used):
             by_odometry = self._sweep_by_odometry(times_s)
             duration_s = max(by_odometry.last_s - by_odometry.first_s, MIN_SWEEP_S)
-            change = duration_s * (by_odometry.velocity - previous.velocity)
+            change = duration_s * (by_odometry.velocity - previous.body_velocity(self._history.clock.step_s))
             step_s = self._history.clock.step_s + duration_s
             if record.told is None or self._is_possible_change(change, duration_s * step_s):
                 return by_odometry
-        return sweep_at_velocity(times_s, previous.velocity, previous.cov_velocity)
+        return sweep_at_velocity(
+            times_s, previous.body_velocity(self._history.clock.step_s), previous.cov_velocity
+        )
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`."""
@@ -211,7 +213,7 @@ class AdaptiveOdometry:
         """Give the motion (m,) knots after the scan; beyond the odometry known, the velocity may have changed."""
         now, history = self.calibration.now, self._history
         stamp_s = self._scan_s + now.clock_offset_s.value
-        poses = history.at(np.append(stamp_s, stamp_s + times_s))
+        poses = history.going_on(np.append(stamp_s, stamp_s + times_s))
         T = now.corrected(relative_poses(poses[0], poses[1:]))
         sweep = sweep_along(times_s, T, self._noise_of(relative_poses(T[0], T[-1:])[0]))
         ahead_s = stamp_s + sweep.last_s - history.end_s

@@ -55,7 +55,9 @@ class OdometryOrPreviousMotion:
         times_s = knot_times(beam_times_of(scan))
         if scan.T_odom_base is not None and scan.odometry is not None:
             return sweep_by_track(times_s, scan.stamp, scan.odometry, self.noise)
-        return sweep_at_velocity(times_s, self.previous.velocity, self.previous.cov_velocity)
+        return sweep_at_velocity(
+            times_s, self.previous.body_velocity(self._clock.step_s), self.previous.cov_velocity
+        )
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`; the previous motion learns from what was found, by whichever match."""

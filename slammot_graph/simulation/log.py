@@ -60,9 +60,13 @@ class SimulatedLog:
         self.object_id = object_id
         self.objects = objects
         self.time_increment_s = time_increment_s
-        self.n_scans = len(stamps)
         self.skipped: list[SkippedScan] = []
         self.warnings: list[str] = []
+
+    @property
+    def n_scans(self) -> int:
+        """Scans in the log."""
+        return len(self.stamps)
 
     def __iter__(self) -> Iterator[Scan]:
         beam_times = None
