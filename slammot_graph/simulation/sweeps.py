@@ -21,9 +21,21 @@ def beam_poses(dense: FloatArray, dense_s: float, stamps: FloatArray, beam_times
     beam_times : (n_beams,) array
         Since the stamp [s].
     """
-    at = stamps[:, None] - stamps[0] + beam_times
-    times, theta = dense_s * np.arange(len(dense)), np.unwrap(dense[:, 2])
-    return np.stack([np.interp(at, times, column) for column in (dense[:, 0], dense[:, 1], theta)], axis=-1)
+    return _interpolated(
+        dense, dense_s * np.arange(len(dense), dtype=np.float64), stamps - stamps[0], beam_times
+    )
+
+
+def poses_between(T_world_base: FloatArray, stamps: FloatArray, beam_times: FloatArray) -> FloatArray:
+    """(n, n_beams, 3) poses at the beams by those (n, 3) at the stamps (n,); the last one lasts."""
+    return _interpolated(T_world_base, stamps, stamps, beam_times)
+
+
+def _interpolated(
+    poses: FloatArray, times: FloatArray, stamps: FloatArray, beam_times: FloatArray
+) -> FloatArray:
+    at, theta = stamps[:, None] + beam_times, np.unwrap(poses[:, 2])
+    return np.stack([np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], theta)], axis=-1)
 
 
 def circles_during_sweeps(

@@ -8,9 +8,10 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.simulation import simulate
+from slammot_graph.simulation.injection import _Base
 from slammot_graph.simulation.laser import LMS200, LOWCOST360, cast_rays, cast_sweeps
 from slammot_graph.simulation.scenarios import scenario_named
-from slammot_graph.simulation.sweeps import beam_poses
+from slammot_graph.simulation.sweeps import beam_poses, poses_between
 from slammot_graph.simulation.worlds import world_named
 
 
@@ -55,3 +56,20 @@ def test_beams_follow_the_drive() -> None:
 def test_a_sweep_lasts_no_longer_than_a_turn() -> None:
     with pytest.raises(ConfigError, match="sweep"):
         replace(LMS200, sweep=1.5)
+
+
+def test_people_injected_into_sweeps_are_met_beam_by_beam() -> None:
+    """The same person at the same place reads as in the simulation itself, where no edge is near."""
+    scenario = replace(scenario_named("fast-turns"), world="lab", n_people=0)
+    log = simulate(scenario, seed=3)
+    base = _Base(log, log.T_world_base, 60)
+    objects = np.full((60, 1, 4), np.nan)
+    objects[:] = [*(log.T_world_base[30, :2] + [1.0, 0.3]), 0.0, 0.0]
+    injected = base.with_people(objects, scenario.people, np.random.default_rng(0))
+    assert injected.time_increment_s == pytest.approx(log.time_increment_s)
+    assert injected.is_moving.any()
+    poses = poses_between(log.T_world_base[:60], log.stamps[:60], log.time_increment_s * np.arange(360.0))
+    for k, beam in np.argwhere(injected.is_moving)[::5]:
+        angle = poses[k, beam, 2] + log.laser.angle_min + log.laser.angle_increment * beam
+        end = poses[k, beam, :2] + injected.ranges[k, beam] * np.array([np.cos(angle), np.sin(angle)])
+        assert np.hypot(*(end - objects[k, 0, :2])) < 0.45
