@@ -221,12 +221,14 @@ class Pipeline:
     ) -> tuple[Scan, Estimate, MatchResult | None]:
         """Match a scan; a sweep again and again, as each match tells how to deskew it better."""
         localizer, is_static = self.localizer, is_valid & ~detection.is_moving
-        matched, match = localizer.match(scan.points_base(), is_static, kernel_factor, is_valid)
+        matched, match = localizer.match(
+            scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid
+        )
         if scan.sweep is None:
             return scan, matched, match
         while (deskewed := localizer.deskew_again(scan, is_static)) is not None:
             scan = deskewed
-            localizer.match(scan.points_base(), is_static, kernel_factor, is_valid)
+            localizer.match(scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid)
         return localizer.join_sweep(scan)
 
     def _track(self, scan: Scan, detection: Detection, points: FloatArray) -> tuple[TrackState, ...]:
