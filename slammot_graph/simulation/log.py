@@ -115,7 +115,7 @@ class SimulatedLog:
             "range_min": self.laser.range_min,
             "range_max": self.laser.range_max,
             "odometry": self.T_odom_base if np.isfinite(self.T_odom_base).any() else None,
-            "time_increment": self.time_increment_s or None,
+            **({"time_increment": self.time_increment_s} if self.time_increment_s else {}),
             "laser_pose": np.array(self.laser.T_base_laser),
             "poses": self.T_world_base,
             "is_moving": self.is_moving,
