@@ -85,11 +85,12 @@ class Pipeline:
         watch.restart()
         is_valid = scan.is_valid(self.config.max_range_m, self.config.range_fraction)
         predicted = self.localizer.predict(scan)
+        scan = self.localizer.deskew(scan)
         watch.lap("predict")
         predicted_positions = self.tracker.predicted_positions(scan.stamp)
         detection = self.detector.detect(scan, is_valid, predicted, predicted_positions)
         watch.lap("detect")
-        matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
+        scan, matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
         points = scan.points(matched.T_local_base)
         p_moving = self.detector.p_moving(scan, detection, points, predicted_positions)
         is_static = is_valid & ~detection.is_moving
@@ -242,26 +243,38 @@ class Pipeline:
 
     def _match(
         self, scan: Scan, is_valid: BoolArray, detection: Detection, predicted_positions: FloatArray
-    ) -> tuple[Estimate, MatchResult | None, Detection]:
+    ) -> tuple[Scan, Estimate, MatchResult | None, Detection]:
         """Match what does not move and test again at the matched pose; in a crowd, once more with a narrower kernel."""
-        points_base = scan.points_base()
-        matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving, is_valid=is_valid)
+        scan, matched, match = self._match_sweep(scan, is_valid, detection)
         self._stopwatch.lap("match")
         if match is None:
-            return matched, match, detection
+            return scan, matched, match, detection
         detection = self.detector.retest(scan, is_valid, detection, matched, match, predicted_positions)
         factor = self.detector.kernel_factor(detection, is_valid)
         if factor < 1.0:
             self._stopwatch.lap("detect")
-            matched, match = self.localizer.match(
-                points_base, is_valid & ~detection.is_moving, factor, is_valid
-            )
+            scan, matched, match = self._match_sweep(scan, is_valid, detection, factor)
             self._stopwatch.lap("match")
             if match is not None:
                 detection = self.detector.retest(
                     scan, is_valid, detection, matched, match, predicted_positions
                 )
-        return matched, match, detection
+        return scan, matched, match, detection
+
+    def _match_sweep(
+        self, scan: Scan, is_valid: BoolArray, detection: Detection, kernel_factor: float = 1.0
+    ) -> tuple[Scan, Estimate, MatchResult | None]:
+        """Match a scan; a sweep again and again, as each match tells how to deskew it better."""
+        localizer, is_static = self.localizer, is_valid & ~detection.is_moving
+        matched, match = localizer.match(
+            scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid
+        )
+        if scan.sweep is None:
+            return scan, matched, match
+        while (deskewed := localizer.deskew_again(scan, is_static)) is not None:
+            scan = deskewed
+            localizer.match(scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid)
+        return localizer.join_sweep(scan)
 
     def _track(
         self,

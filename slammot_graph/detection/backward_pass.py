@@ -60,10 +60,12 @@ def retrospective_labels(
         later = detect_moving(
             item.scan, item.is_valid, T, item.cov_relative, memory, ellipse_test, clusters, expected
         )
-        ends = se2.transform(T, np.vstack([item.scan.laser.origin_base, item.scan.points_base()]))
-        labels[k] = _combine(item, later, _follow(tracker, item, later, ends[1:]))
+        origins = item.scan.origins_base
+        ends = se2.transform(T, np.vstack([origins, item.scan.points_base()]))
+        origins, points = ends[: len(origins)], ends[len(origins) :]
+        labels[k] = _combine(item, later, _follow(tracker, item, later, points))
         is_static = item.is_valid & ~labels[k]
-        memory.update(now, ends[0], ends[1:], item.is_valid, is_static, labels[k])
+        memory.update(now, origins, points, item.is_valid, is_static, labels[k])
     return labels
 
 

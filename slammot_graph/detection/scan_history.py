@@ -13,13 +13,15 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
 
 MOST_IN_MEMORY = 32 << 20
 """Beyond this [bytes] a temporary file on the disk holds them."""
 
-_HEAD = struct.Struct("=qdqiI?9f")
+_HEAD = struct.Struct("=qdqiI?H9f")
+_SWEEP = struct.Struct("=2d9f")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +56,7 @@ class ScanRecord:
 
 
 class ScanHistory(Sequence[ScanRecord]):
-    """All scans of a run in their order: 5 bytes a beam, on the disk once they are many.
+    """All scans of a run in their order: 5 bytes a beam, 9 of a sweep; on the disk once they are many.
 
     Attributes
     ----------
@@ -97,8 +99,11 @@ class ScanHistory(Sequence[ScanRecord]):
             masks[beams] |= 8
         cov = cov_relative.ravel().tolist()
         laser = len(self._lasers) - 1
-        head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, *cov)
-        packed = b"".join((head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes()))
+        n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
+        head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
+        packed = b"".join(
+            (head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes(), _packed_sweep(scan))
+        )
         try:
             if not self._is_at_end:
                 self._file.seek(self._end)
@@ -135,9 +140,10 @@ class ScanHistory(Sequence[ScanRecord]):
     def _unpack(self, place: int) -> ScanRecord:
         self._is_at_end = False
         self._file.seek(place)
-        index, stamp, window, laser, n, is_doubtful, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
+        index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
         ranges = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
         masks = np.frombuffer(self._file.read(n), dtype=np.uint8)
+        beam_times, sweep = self._read_sweep(n, n_knots)
         valid, moving, wall, displaced = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8))
         return ScanRecord(
             scan=Scan(
@@ -146,6 +152,8 @@ class ScanHistory(Sequence[ScanRecord]):
                 ranges=ranges,
                 laser=self._lasers[laser],
                 T_odom_base=se2.IDENTITY,
+                beam_times=beam_times,
+                sweep=sweep,
             ),
             is_valid=valid,
             is_moving=moving,
@@ -155,3 +163,27 @@ class ScanHistory(Sequence[ScanRecord]):
             window=window,
             is_doubtful=is_doubtful,
         )
+
+    def _read_sweep(self, n: int, n_knots: int) -> tuple[FloatArray | None, SweepMotion | None]:
+        """Beam times (n,) and motion of a deskewed scan."""
+        if not n_knots:
+            return None, None
+        first_s, last_s, *cov = _SWEEP.unpack(self._file.read(_SWEEP.size))
+        knots = np.frombuffer(self._file.read(12 * n_knots), dtype=np.float32).astype(np.float64)
+        times = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
+        sweep = SweepMotion(
+            first_s=first_s,
+            last_s=last_s,
+            T_stamp_base=knots.reshape(-1, 3),
+            cov_velocity=np.array(cov).reshape(3, 3),
+        )
+        return times, sweep
+
+
+def _packed_sweep(scan: Scan) -> bytes:
+    """Beam times and motion of a deskewed scan as bytes; none of any other."""
+    sweep = scan.sweep
+    if sweep is None or scan.beam_times is None:
+        return b""
+    head = _SWEEP.pack(sweep.first_s, sweep.last_s, *sweep.cov_velocity.ravel().tolist())
+    return b"".join((head, *(x.astype(np.float32).tobytes() for x in (sweep.T_stamp_base, scan.beam_times))))

@@ -16,10 +16,11 @@ from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.scan_odometry import odometry_of_log
 from slammot_graph.logs.scan_stamps import mended
 from slammot_graph.logs.source import SkippedScan
+from slammot_graph.logs.sweep_times import sweep_times
 
 SCALARS = ("angle_min", "angle_increment", "range_min", "range_max")
 REQUIRED = ("stamps", "ranges", *SCALARS, "laser_pose")
-OPTIONAL = ("odometry",)
+OPTIONAL = ("odometry", "time_increment")
 TRUTH = ("poses", "is_moving", "object_id", "objects")
 ESTIMATES = "poses_are_estimates"
 
@@ -59,10 +60,17 @@ class ArrayLog(RecordedLog):
         told = self._arrays.get("odometry") if odometry else None
         self._odometry = odometry_of_log(told, self._stamps, is_wanted=odometry)
         source.update(self._odometry.source)
+        sweep = sweep_times(
+            float(self._arrays.get("time_increment", 0.0)),
+            self._stamps,
+            self._laser,
+            "the key time_increment",
+        )
+        self._beam_times = sweep.beam_times
         super().__init__(
             path,
             n_scans=len(self._stamps),
-            opening_warnings=(*times.warnings, *self._odometry.warnings),
+            opening_warnings=(*times.warnings, *self._odometry.warnings, *sweep.warnings),
             source=source,
         )
 
@@ -85,6 +93,7 @@ class ArrayLog(RecordedLog):
                 T_odom_base=T_odom_base,
                 truth=_scan_truth(truth) if truth else None,
                 odometry=told.track,
+                beam_times=self._beam_times,
             )
 
 
@@ -98,6 +107,7 @@ def write_npz_log(
     range_min: float,
     range_max: float,
     odometry: npt.ArrayLike | None = None,
+    time_increment: float | None = None,
     laser_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
     poses: npt.ArrayLike | None = None,
     is_moving: npt.ArrayLike | None = None,
@@ -119,6 +129,8 @@ def write_npz_log(
         Limits of a valid return [m].
     odometry : (n, 3) array, optional
         Base in odom: x [m], y [m], theta [rad].
+    time_increment : float, optional
+        Time between beams [s], of a laser that sweeps; the stamps are then those of the first beams.
     laser_pose : (3,) array
         Laser in base.
     poses : (n, 3) array, optional
@@ -146,6 +158,7 @@ def write_npz_log(
         "range_min": range_min,
         "range_max": range_max,
         "odometry": odometry,
+        "time_increment": time_increment,
         "laser_pose": laser_pose,
         "poses": poses,
         "is_moving": is_moving,
@@ -210,7 +223,7 @@ def _checked(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, np
         "is_moving": (n_scans, n_beams),
         "object_id": (n_scans, n_beams),
         "objects": (n_scans, *converted.get("objects", np.empty(0)).shape[1:2], 4),
-        **dict.fromkeys((*SCALARS, ESTIMATES), ()),
+        **dict.fromkeys((*SCALARS, "time_increment", ESTIMATES), ()),
     }
     for key, shape in shapes.items():
         if key in converted and converted[key].shape != shape:
@@ -225,7 +238,7 @@ def _converted(path: Path, key: str, array: npt.NDArray[Any]) -> npt.NDArray[Any
     """An array as bool, int or float, as its key asks for; a scalar in brackets loses them."""
     if array.dtype.kind not in "biuf":
         raise InputError(f"{path}: `{key}` is of type {array.dtype}; write it as an array of numbers")
-    if key in SCALARS and array.size == 1:
+    if key in (*SCALARS, "time_increment") and array.size == 1:
         array = array.reshape(())
     kinds: dict[str, type] = {"is_moving": np.bool_, "object_id": np.int64, ESTIMATES: np.bool_}
     return np.asarray(array, dtype=kinds.get(key, np.float64), order="C")

@@ -33,6 +33,7 @@ class RawScan:
     truth: ScanTruth | None = None
     odometry: OdometryTrack | None = None
     imu_yaw: float | None = None
+    beam_times: FloatArray | None = None
 
 
 Records: TypeAlias = Generator[RawScan | SkippedScan, None, None]
@@ -109,6 +110,7 @@ class RecordedLog(ABC):
                         truth=record.truth,
                         odometry=record.odometry,
                         imu_yaw=record.imu_yaw,
+                        beam_times=record.beam_times,
                     )
                     index += 1
         finally:

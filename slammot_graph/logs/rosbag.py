@@ -31,6 +31,7 @@ from slammot_graph.logs.mounting import laser_pose_source
 from slammot_graph.logs.scan_odometry import ScanOdometry, are_sane_poses, no_odometry, odometry_of_log
 from slammot_graph.logs.scan_stamps import mended
 from slammot_graph.logs.source import SkippedScan
+from slammot_graph.logs.sweep_times import SweepTimes, sweep_times
 
 MAX_BEAM_COUNT_ERROR = 1.5
 """Largest difference between a scan's count of beams and the count from its angles."""
@@ -99,6 +100,7 @@ class RosbagLog(RecordedLog):
             if imu_topic is not None:
                 self._yaw = read_yaw(bag, imu_topic, bases, uses_headers=uses_headers)
         self._mountings = lasers.mountings
+        self._sweeps: dict[tuple[float, int, float], SweepTimes] = {}
         source: SourceInfo = {"scan_topic": self._scan_topic.name}
         given = {
             "odom_topic": found.topic,
@@ -151,7 +153,17 @@ class RosbagLog(RecordedLog):
             T_odom_base=self._T_odom_base(record, stamp),
             odometry=self._odometry.track,
             imu_yaw=None if self._yaw is None else self._yaw.at(stamp),
+            beam_times=self._beam_times(scan, laser),
         )
+
+    def _beam_times(self, scan: Any, laser: LaserModel) -> FloatArray | None:
+        """(n,) times of a scan's beams since its stamp [s]; warns once of those that cannot be right."""
+        key = float(scan.time_increment), laser.n_beams, laser.angle_increment
+        if key not in self._sweeps:
+            told_by = f"time_increment of {self._scan_topic.name}"
+            self._sweeps[key] = sweep_times(key[0], self._stamps, laser, told_by)
+        self.warnings.extend(w for w in self._sweeps[key].warnings if w not in self.warnings)
+        return self._sweeps[key].beam_times
 
     def _T_odom_base(self, record: int, stamp: float) -> FloatArray | None:
         """(3,) odometry of a scan; None: use it without."""

@@ -6,11 +6,16 @@ from slammot_graph.core.types import BoolArray, FloatArray
 
 @kernel
 def bounds(
-    origin: FloatArray, end_points: FloatArray, is_beam: BoolArray, is_hit: BoolArray, is_soft_hit: BoolArray
+    origins: FloatArray, end_points: FloatArray, is_beam: BoolArray, is_hit: BoolArray, is_soft_hit: BoolArray
 ) -> tuple[float, float, float, float]:
-    """Give the lowest x and y and the highest x and y of the laser and of the end points that are used."""
-    x0 = x1 = origin[0]
-    y0 = y1 = origin[1]
+    """Give the lowest x and y and the highest x and y of the laser's places (m, 2) and of the used end points."""
+    x0 = x1 = origins[0, 0]
+    y0 = y1 = origins[0, 1]
+    for k in range(1, origins.shape[0]):
+        x0 = min(x0, origins[k, 0])
+        x1 = max(x1, origins[k, 0])
+        y0 = min(y0, origins[k, 1])
+        y1 = max(y1, origins[k, 1])
     for k in range(end_points.shape[0]):
         if is_beam[k] or is_hit[k] or is_soft_hit[k]:
             x0 = min(x0, end_points[k, 0])

@@ -142,12 +142,12 @@ def render_final_map(
             missing = item.scan.is_no_return(config.no_return.min_run, config.no_return.range_fraction)
             if missing.any():
                 reach_m = min(config.no_return.reach_m, reach.get(laser, 0.0))
-                far = laser.origin_base + reach_m * laser.directions_base
+                far = item.scan.origins_base + reach_m * item.scan.directions_base
                 points = np.where(missing[:, None], se2.transform(T, far), points)
                 is_beam = is_beam | (missing & (reach_m > 0.0))
-        origin = se2.transform(T, laser.origin_base[None])[0]
+        origins = se2.transform(T, item.scan.origins_base)
         is_hit = item.is_valid if grid.occupy_with_moving else item.is_static
-        tiled.update(number, origin, points, is_beam, is_hit, item.is_valid & ~is_hit, weight, hit_weight)
+        tiled.update(number, origins, points, is_beam, is_hit, item.is_valid & ~is_hit, weight, hit_weight)
         tiled.add_evidence(number, T[:2], under_robot * weight)
     if n and config.path_m > 0.0:
         tiled.free_around(dense_path(T_map_base[:, :2], grid.resolution_m), config.path_m)

@@ -74,7 +74,7 @@ class Keyframe:
     points_base, normals_base : (m, 2) arrays
         Static points and their normals towards the laser, base frame; a normal of (0, 0) on no line.
     laser_base : (2,) array
-        Where the laser was, base frame.
+        Where the laser was, base frame; of a sweep, in the mean.
     """
 
     node: int
@@ -91,14 +91,21 @@ def make_keyframe(
     is_static: BoolArray,
     laser: LaserModel,
     config: LocalMapConfig,
+    origins_base: FloatArray | None = None,
 ) -> Keyframe:
-    """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on."""
+    """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on.
+
+    `origins_base`, (1, 2) or (n, 2) [m], are where the beams start from; by default where the laser sits.
+    """
+    laser_base = laser.origin_base
+    if origins_base is not None and len(origins_base) > 1:
+        laser_base = origins_base.mean(axis=0)
     normals = np.empty_like(points_base)
     step_rad = abs(laser.angle_increment)
     _local_map_kernels.estimate_normals(
         points_base,
         is_static,
-        laser.origin_base,
+        laser_base,
         max(3, round(config.normal_half_window_rad / step_rad)),
         config.normal_max_gap_m,
         3.0 * step_rad,
@@ -110,7 +117,7 @@ def make_keyframe(
         T_local_base=T_local_base,
         points_base=points_base[is_static],
         normals_base=normals[is_static],
-        laser_base=laser.origin_base,
+        laser_base=laser_base,
     )
 
 

@@ -162,17 +162,17 @@ class OccupancyGrid:
             is_missing = scan.is_no_return(no_return.min_run, no_return.range_fraction)
             if is_missing.any():
                 reach_m = min(no_return.reach_m, scan.laser.range_max)
-                far = scan.laser.origin_base + reach_m * scan.laser.directions_base
+                far = scan.origins_base + reach_m * scan.directions_base
                 ends = np.where(is_missing[:, None], se2.transform(T_a_base, far), points)
                 is_beam = is_valid | is_missing
-        origin = se2.transform(T_a_base, scan.laser.origin_base[None])[0]
+        origins = se2.transform(T_a_base, scan.origins_base)
         is_hit = is_valid if self.config.occupy_with_moving else is_static
-        self.update(number, origin, ends, is_beam, is_hit, is_valid & ~is_hit)
+        self.update(number, origins, ends, is_beam, is_hit, is_valid & ~is_hit)
 
     def update(
         self,
         now: int,
-        origin: FloatArray,
+        origins: FloatArray,
         end_points: FloatArray,
         is_beam: BoolArray,
         is_hit: BoolArray,
@@ -186,8 +186,8 @@ class OccupancyGrid:
         ----------
         now : int
             Number of the scan; not below that of an earlier update.
-        origin : (2,) array
-            The laser [m].
+        origins : (2,), (1, 2) or (n, 2) array
+            The laser [m]: one place, or that of each beam.
         end_points : (n, 2) array [m]
         is_beam : (n,) bool array
             Beams that free the cells they cross.
@@ -198,8 +198,9 @@ class OccupancyGrid:
         weight, hit_weight : float
             Of the scan's evidence, of what it frees and of its hits: the log-odds are multiplied by it.
         """
+        origins = origins.reshape(-1, 2)
         if not self.is_rolling:
-            self._cover(origin, end_points[is_beam])
+            self._cover(origins, end_points[is_beam])
         update_beams(
             self.log_odds,
             self.stamp,
@@ -208,7 +209,7 @@ class OccupancyGrid:
             self.inv_resolution,
             now,
             self.oldest,
-            origin,
+            origins,
             end_points,
             is_beam,
             is_hit,
@@ -282,9 +283,9 @@ class OccupancyGrid:
             origin=corner * self.config.resolution_m,
         )
 
-    def _cover(self, origin: FloatArray, end_points: FloatArray) -> None:
+    def _cover(self, origins: FloatArray, end_points: FloatArray) -> None:
         """Grow a fixed grid, doubling, until it holds the beams."""
-        corners = np.vstack([origin[None, :], end_points])
+        corners = np.vstack([origins, end_points])
         low = np.floor(corners.min(axis=0) * self.inv_resolution).astype(np.int64) - 1
         high = np.floor(corners.max(axis=0) * self.inv_resolution).astype(np.int64) + 1
         row0, col0 = self.row0, self.col0

@@ -63,7 +63,7 @@ class TiledGrid:
     def update(
         self,
         now: int,
-        origin: FloatArray,
+        origins: FloatArray,
         end_points: FloatArray,
         is_beam: BoolArray,
         is_hit: BoolArray,
@@ -72,8 +72,9 @@ class TiledGrid:
         hit_weight: float = 1.0,
     ) -> None:
         """Take in one scan; see `OccupancyGrid.update`."""
-        self._hold(*bounds(origin, end_points, is_beam, is_hit, is_soft_hit))
-        self.window.update(now, origin, end_points, is_beam, is_hit, is_soft_hit, weight, hit_weight)
+        origins = origins.reshape(-1, 2)
+        self._hold(*bounds(origins, end_points, is_beam, is_hit, is_soft_hit))
+        self.window.update(now, origins, end_points, is_beam, is_hit, is_soft_hit, weight, hit_weight)
 
     def add_evidence(self, now: int, point: FloatArray, log_odds: float) -> None:
         """Add log-odds to the cell at a point (2,) [m], within the bounds of a cell."""

@@ -6,7 +6,7 @@ no robot can make since the scan before is never used.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,9 +14,18 @@ from slammot_graph.core import se2
 from slammot_graph.core.checks import AtLeastOne, Checked, Positive, PositiveShare, Share
 from slammot_graph.core.odometry_report import MotionSource, OdometryReport
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry._motion_kernels import judge_predictions, relative
 from slammot_graph.odometry.calibration import CalibrationConfig, SelfCalibration
+from slammot_graph.odometry.deskew import (
+    MIN_SWEEP_S,
+    beam_times_of,
+    knot_times,
+    relative_poses,
+    sweep_along,
+    sweep_at_velocity,
+)
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
@@ -121,6 +130,21 @@ class AdaptiveOdometry:
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
         return motion
 
+    def during_sweep(self, scan: Scan) -> SweepMotion:
+        """See `MotionModel`: by the odometry where it is used, and where a robot can have moved so."""
+        times_s = knot_times(beam_times_of(scan))
+        record, previous = self._record, self.previous
+        if scan.T_odom_base is not None and (record.told is None or record.is_odometry_used):
+            by_odometry = self._sweep_by_odometry(times_s)
+            duration_s = max(by_odometry.last_s - by_odometry.first_s, MIN_SWEEP_S)
+            change = duration_s * (by_odometry.velocity - previous.body_velocity(self._history.clock.step_s))
+            step_s = self._history.clock.step_s + duration_s
+            if record.told is None or self._is_possible_change(change, duration_s * step_s):
+                return by_odometry
+        return sweep_at_velocity(
+            times_s, previous.body_velocity(self._history.clock.step_s), previous.cov_velocity
+        )
+
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`."""
         now_s = self._scan_s
@@ -172,22 +196,43 @@ class AdaptiveOdometry:
             self._history.pose_at(start_s + offset_s), self._history.pose_at(end_s + offset_s), increment
         )
         increment = now.corrected(increment)
+        return Motion(increment=increment, cov=self._noise_of(increment))
+
+    def _noise_of(self, increment: FloatArray) -> FloatArray:
+        """(3, 3) covariance of an increment (3,) of the odometry, as far as its noise is learnt."""
+        now, config = self.calibration.now, self.config
         cov = self.noise.covariance(increment)
-        config = self.config
         scale_m = min(max(now.noise_scale_m.value, config.min_noise_scale), config.max_noise_scale)
         scale_rad = min(max(now.noise_scale_rad.value, config.min_noise_scale), config.max_noise_scale)
         if scale_m != 1.0 or scale_rad != 1.0:
             scales = np.array([scale_m, scale_m, scale_rad])
             cov = cov * np.outer(scales, scales)
-        return Motion(increment=increment, cov=cov)
+        return cov
+
+    def _sweep_by_odometry(self, times_s: FloatArray) -> SweepMotion:
+        """Give the motion (m,) knots after the scan; beyond the odometry known, the velocity may have changed."""
+        now, history = self.calibration.now, self._history
+        stamp_s = self._scan_s + now.clock_offset_s.value
+        poses = history.going_on(np.append(stamp_s, stamp_s + times_s))
+        T = now.corrected(relative_poses(poses[0], poses[1:]))
+        sweep = sweep_along(times_s, T, self._noise_of(relative_poses(T[0], T[-1:])[0]))
+        ahead_s = stamp_s + sweep.last_s - history.end_s
+        if ahead_s <= 0.0:
+            return sweep
+        share = min(ahead_s / max(sweep.last_s - sweep.first_s, MIN_SWEEP_S), 1.0)
+        return replace(sweep, cov_velocity=sweep.cov_velocity + share**2 * self.previous.cov_velocity)
 
     def _is_possible(self, told: Motion) -> bool:
         """Tell whether a robot can have made a motion, given the one that it made before."""
         step_s = self._history.clock.step_s
-        dx, dy, turn = (told.increment - self._record.previous).tolist()
-        if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
+        return self._is_possible_change(told.increment - self._record.previous, step_s * step_s)
+
+    def _is_possible_change(self, change: FloatArray, time_s2: float) -> bool:
+        """Tell whether a motion can differ so (3,) from the one at the velocity before."""
+        dx, dy, turn = change.tolist()
+        if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * time_s2 + 0.05:
             return False
-        return bool(abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05)
+        return bool(abs(turn) < self.config.max_acceleration_rad_s2 * time_s2 + 0.05)
 
     def _learn(self, T_before: FloatArray, match: MatchedPose) -> None:
         """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""

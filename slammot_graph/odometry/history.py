@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from slammot_graph.core import se2
 from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.types import FloatArray
 
@@ -128,6 +129,23 @@ class OdometryHistory:
                 speed = (poses[-1] - poses[-2]) / max(times[-1] - times[-2], 1e-6)
                 out += ahead_s[:, None] * speed
         return out
+
+    def going_on(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3) poses as of `at`, but beyond the latest one known at the latest velocity in the body frame."""
+        poses, ahead_s = self.at(np.minimum(times_s, self.end_s)), np.maximum(times_s - self.end_s, 0.0)
+        times, known = self._samples()
+        if len(times) < 2 or not ahead_s.any():
+            return poses
+        velocity = se2.log(se2.between(known[-2], known[-1])) / max(times[-1] - times[-2], 1e-6)
+        moved = se2.compose(poses, se2.exp(ahead_s[:, None] * velocity))
+        moved[:, 2] = poses[:, 2] + ahead_s * velocity[2]
+        return moved
+
+    @property
+    def end_s(self) -> float:
+        """Time of the latest pose known [s]; minus infinity where none is."""
+        times, _ = self._samples()
+        return float(times[-1]) if len(times) else -math.inf
 
     def pose_at(self, time_s: float) -> FloatArray:
         """(3,) pose at one time of the clock; see `at`."""

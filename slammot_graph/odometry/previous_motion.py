@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry._motion_kernels import learn_velocity
@@ -57,6 +58,15 @@ class PreviousMotion:
     def std(self) -> FloatArray:
         """(3,) standard deviation of the velocity's change from scan to scan."""
         return np.asarray(np.sqrt(self.var))
+
+    @property
+    def cov_velocity(self) -> FloatArray:
+        """(3, 3) covariance of the velocity after the latest scan; after scans that were not matched it is larger."""
+        return np.diag((1 + self._n_missed) ** 2 * self.var)
+
+    def body_velocity(self, step_s: float) -> FloatArray:
+        """(3,) constant velocity in the body frame that makes the increment of the latest step."""
+        return se2.log(step_s * self.velocity) / step_s
 
     def increment(self, step_s: float) -> FloatArray:
         """(3,) motion over the next `step_s`."""

@@ -32,6 +32,8 @@ class SimulatedLog:
         Which one; -1 for none.
     objects : (n, people, 4) array
         x, y [m], vx, vy [m/s] in the world; NaN while away.
+    time_increment_s : float
+        Time between beams [s]; 0: all at the stamp.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class SimulatedLog:
         is_moving: BoolArray,
         object_id: IntArray,
         objects: FloatArray,
+        time_increment_s: float = 0.0,
     ) -> None:
         self.path = Path(name)
         self.laser = laser
@@ -56,11 +59,19 @@ class SimulatedLog:
         self.is_moving = is_moving
         self.object_id = object_id
         self.objects = objects
-        self.n_scans = len(stamps)
+        self.time_increment_s = time_increment_s
         self.skipped: list[SkippedScan] = []
         self.warnings: list[str] = []
 
+    @property
+    def n_scans(self) -> int:
+        """Scans in the log."""
+        return len(self.stamps)
+
     def __iter__(self) -> Iterator[Scan]:
+        beam_times = None
+        if self.time_increment_s:
+            beam_times = self.time_increment_s * np.arange(self.laser.n_beams, dtype=np.float64)
         track = rising_track(self.stamps, self.T_odom_base, self.stamps)
         has_odometry = np.atleast_1d(np.isfinite(self.T_odom_base).all(axis=1))
         for k in range(self.n_scans):
@@ -77,6 +88,7 @@ class SimulatedLog:
                     objects=self.objects[k],
                 ),
                 odometry=track,
+                beam_times=beam_times,
             )
 
     def with_odometry(self, T_odom_base: FloatArray) -> "SimulatedLog":
@@ -91,6 +103,7 @@ class SimulatedLog:
             is_moving=self.is_moving,
             object_id=self.object_id,
             objects=self.objects,
+            time_increment_s=self.time_increment_s,
         )
 
     def arrays(self) -> dict[str, Any]:
@@ -103,6 +116,7 @@ class SimulatedLog:
             "range_min": self.laser.range_min,
             "range_max": self.laser.range_max,
             "odometry": self.T_odom_base if np.isfinite(self.T_odom_base).any() else None,
+            **({"time_increment": self.time_increment_s} if self.time_increment_s else {}),
             "laser_pose": np.array(self.laser.T_base_laser),
             "poses": self.T_world_base,
             "is_moving": self.is_moving,

@@ -84,19 +84,37 @@ class ScanView:
         is_valid: BoolArray,
         range_fraction: float,
     ) -> "ScanView":
-        """View a scan whose base lies at a pose (3,); `range_fraction` as of `Scan.is_no_return`."""
+        """View a scan whose base lies at a pose (3,); `range_fraction` as of `Scan.is_no_return`.
+
+        A sweep is seen as if taken at once: from the middle of its origins, with evenly spaced beams.
+        """
+        T_base_laser, angle_increment, ranges = _seen_at_once(scan)
         return cls(
             points=points,
             packed_cov=packed_cov,
             cluster=cluster,
             is_proven=is_proven,
-            T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
+            T_local_laser=se2.compose(T_local_base, T_base_laser),
             angle_min=scan.laser.angle_min,
-            angle_increment=scan.laser.angle_increment,
-            ranges=scan.ranges,
+            angle_increment=angle_increment,
+            ranges=ranges,
             is_valid=is_valid,
             is_no_return=scan.is_no_return(range_fraction=range_fraction),
         )
+
+
+def _seen_at_once(scan: Scan) -> tuple[FloatArray, float, FloatArray]:
+    """Pose (3,) of the laser in the base, step between its beams [rad] and its ranges (n,) [m] at the stamp."""
+    laser = scan.laser
+    if scan.sweep is None or laser.n_beams < 2:
+        return np.array(laser.T_base_laser), laser.angle_increment, scan.ranges
+    origin = scan.origins_base.mean(axis=0)
+    bearings = np.unwrap(np.arctan2(scan.directions_base[:, 1], scan.directions_base[:, 0]))
+    step = float(bearings[-1] - bearings[0]) / (laser.n_beams - 1)
+    if step * laser.angle_increment <= 0.0:  # a robot that turns faster than its laser
+        step = laser.angle_increment
+    ranges = np.hypot(*(scan.points_base() - origin).T)
+    return np.array([*origin, bearings[0] - laser.angle_min]), step, ranges
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,9 +1,13 @@
 """The map of a finished run: viewpoints, what changes before a robot that stands, and beams without a return."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from slammot_graph.core import se2
 from slammot_graph.core.results import GridMap
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.mapping.final_map import (
     FinalMapConfig,
@@ -14,7 +18,7 @@ from slammot_graph.mapping.final_map import (
     scan_weights,
     viewpoints,
 )
-from slammot_graph.mapping.occupancy_grid import GridConfig, NoReturnConfig
+from slammot_graph.mapping.occupancy_grid import GridConfig, NoReturnConfig, OccupancyGrid
 from tests.rooms import LASER, ROOM, take_scan
 
 CONFIG = FinalMapConfig()
@@ -133,3 +137,28 @@ def test_a_path_is_filled_up_but_where_it_leaps() -> None:
     path = dense_path(np.array([[0.0, 0.0], [0.4, 0.0], [9.0, 0.0]]), 0.1)
     np.testing.assert_allclose(np.sort(path[:, 0]), [0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 9.0], atol=1e-9)
     assert len(dense_path(np.zeros((1, 2)), 0.1)) == 1
+
+
+def test_a_sweep_is_mapped_from_where_each_beam_was_sent_out() -> None:
+    scan = take_scan(T, walls=ROOM)
+    n = len(scan.ranges)
+    forth = np.array([0.5, 0.0, 0.0])
+    sweep = SweepMotion(
+        first_s=0.0,
+        last_s=0.1,
+        T_stamp_base=np.linspace(0.0, 1.0, 3)[:, None] * forth,
+        cov_velocity=np.zeros((3, 3)),
+    )
+    swept = replace(scan, beam_times=np.linspace(0.0, 0.1, n), sweep=sweep)
+    is_used = scan.is_valid()
+    item = MapScan(scan=swept, is_valid=is_used, is_static=is_used)
+    config = FinalMapConfig(no_return=None, path_m=0.0)
+    grid = render_final_map(lambda k: item, np.zeros(1), T[None], grid=GridConfig(), config=config)
+    expected = OccupancyGrid(GridConfig())
+    expected.add_scan(0, swept, T, swept.points(T), is_used, is_used)
+    ends, origins = swept.points(T)[is_used], se2.transform(T, swept.origins_base)[is_used]
+    for share in (0.1, 0.5, 1.0):
+        points = origins + share * (ends - origins)
+        p = expected.probability(points)
+        np.testing.assert_allclose(np.nan_to_num(p_at(grid, points), nan=0.5), p, atol=1e-6)
+    assert np.ptp(origins, axis=0).max() > 0.4

@@ -39,12 +39,12 @@ def test_it_equals_a_grid_as_large_as_the_extent(seed: int) -> None:
 
 def test_bounds_are_those_of_the_plain_ones() -> None:
     rng = np.random.default_rng(5)
-    origin = rng.normal(size=2)
-    for n in (0, 1, 50):
-        ends, *masks = beams(rng, origin, 3.0, n)
+    for n, n_origins in ((0, 1), (1, 1), (50, 1), (50, 50)):
+        origins = rng.normal(size=(n_origins, 2)) * 4.0
+        ends, *masks = beams(rng, origins[0], 3.0, n)
         ends[~(masks[0] | masks[1] | masks[2])] = np.nan
-        points = np.vstack([origin, ends[masks[0] | masks[1] | masks[2]]])
-        np.testing.assert_array_equal(bounds(origin, ends, *masks), [*points.min(0), *points.max(0)])
+        points = np.vstack([origins, ends[masks[0] | masks[1] | masks[2]]])
+        np.testing.assert_array_equal(bounds(origins, ends, *masks), [*points.min(0), *points.max(0)])
 
 
 def see(grid: TiledGrid, now: int, x: float, n: int = 5) -> None:
