@@ -20,7 +20,7 @@ from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.base import track_states
+from slammot_graph.tracking.base import LooksAt, track_states
 from slammot_graph.tracking.factory import make_tracker
 
 __all__ = ["Pipeline", "PipelineConfig"]
@@ -60,6 +60,7 @@ class Pipeline:
         self._history = ScanHistory()
         self._node_scans = array("q")
         self._stopwatch = Stopwatch()
+        self._lasers: set[int] = set()
 
     def __enter__(self) -> "Pipeline":
         """Give the pipeline itself."""
@@ -102,7 +103,7 @@ class Pipeline:
             is_lost=committed.is_lost,
         )
         watch.lap("map")
-        tracks = self._track(scan, detection, points)
+        tracks = self._track(scan, detection, points, matched.T_local_base)
         self._remember(scan, is_valid, detection, matched, match)
         health = self.health.update(
             scan.index,
@@ -218,11 +219,21 @@ class Pipeline:
                 )
         return matched, match, detection
 
-    def _track(self, scan: Scan, detection: Detection, points: FloatArray) -> tuple[TrackState, ...]:
-        """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
+    def _track(
+        self, scan: Scan, detection: Detection, points: FloatArray, T_local_base: FloatArray
+    ) -> tuple[TrackState, ...]:
+        """Feed the clusters of moving points to the tracker; report the tracks in the map frame.
+
+        Where there are several lasers, an object is missed only by those that look at it.
+        """
+        self._lasers.add(scan.laser.number)
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
-        tracks = self.tracker.update(scan.stamp, *detection.clusters(points))
+        looks_at: LooksAt | None = None
+        if len(self._lasers) > 1:
+            T_base_local = se2.inverse(T_local_base)
+            looks_at = lambda places: scan.looks_at(se2.transform(T_base_local, places))  # noqa: E731
+        tracks = self.tracker.update(scan.stamp, *detection.clusters(points), looks_at=looks_at)
         return track_states(tracks, self.localizer.T_map_local)
 
     def _remember(

@@ -252,6 +252,7 @@ class Run:
             health=np.array([scan.health for scan in scans], dtype="<U13"),
             odometry=report,
             verdict=diagnose(session.statistics, report, log.warnings),
+            laser=np.array([scan.laser for scan in scans], dtype=np.int64),
         )
 
 
@@ -273,6 +274,7 @@ class _KeptScan:
     T_anchor_base: FloatArray
     cov_anchor_base: FloatArray
     health: Health
+    laser: int
 
 
 class _Kept:
@@ -309,6 +311,7 @@ class _Kept:
                 T_anchor_base=step.T_anchor_base,
                 cov_anchor_base=step.cov_anchor_base,
                 health=step.health,
+                laser=step.scan.laser.number,
             )
         )
         self.n_failed += step.match is not None and step.match.status == "failed"

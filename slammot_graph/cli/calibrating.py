@@ -18,7 +18,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose, OdometrySwitch, prepare_file
+from slammot_graph.cli.files import LaserPose, OdometrySwitch, ScanTopics, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def calibrate_command(
     output: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "graph",
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -58,7 +58,7 @@ def calibrate_command(
     max_scans
         Take the log's first ones only.
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
     odom_topic
         Which odometry of a bag.
     imu_topic

@@ -19,7 +19,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose
+from slammot_graph.cli.files import LaserPose, ScanTopics
 from slammot_graph.core.strict_json import strict_json
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def check_command(
     /,
     *,
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     laser_pose: LaserPose = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -50,7 +50,7 @@ def check_command(
     max_range
         Leave aside what is farther [m].
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
     odom_topic
         Which odometry of a bag.
     laser_pose

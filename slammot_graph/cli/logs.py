@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
-from slammot_graph.cli.files import LaserPose, OdometrySwitch, prepare_file
+from slammot_graph.cli.files import LaserPose, OdometrySwitch, ScanTopics, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def inject_command(
     output: Annotated[Path, tyro.conf.arg(metavar="LOG.npz")],
     reference: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -79,7 +79,7 @@ def inject_command(
     max_scans
         Take the log's first ones only.
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
     odom_topic
         Which odometry of a bag.
     imu_topic

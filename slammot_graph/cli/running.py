@@ -31,7 +31,7 @@ from slammot_graph.cli.console import (
     warn,
     warn_of,
 )
-from slammot_graph.cli.files import LaserPose, OdometrySwitch
+from slammot_graph.cli.files import LaserPose, OdometrySwitch, ScanTopics
 from slammot_graph.cli.logs import write_simulation
 from slammot_graph.core.errors import InputError
 
@@ -63,7 +63,7 @@ def run_command(
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -90,7 +90,7 @@ def run_command(
     max_scans
         Take the log's first ones only.
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
     odom_topic
         Which odometry of a bag.
     imu_topic
@@ -102,7 +102,8 @@ def run_command(
     odometry
         off: leave the log's odometry aside; the laser alone tells of the motion.
     laser_pose
-        Where the laser sits on the robot [m, m, rad], in place of what the log says.
+        Where the laser sits on the robot [m, m, rad], in place of what the log says; flip: upside down. Of several
+        lasers, the frame of each before its pose.
     rerun
         Record run.rrd, stream to a viewer, or neither.
     overwrite

@@ -312,6 +312,8 @@ class RunResult:
         Calibration of the odometry against the matches.
     verdict : tuple of Finding
         What is wrong with the log or the run, the worst first; empty where nothing is.
+    laser : (n,) int array or None
+        Which of the robot's lasers took each scan, from 0; None: the only one.
     """
 
     method: str
@@ -346,6 +348,7 @@ class RunResult:
     health: Any = field(default_factory=lambda: np.empty(0, dtype="<U13"))
     odometry: OdometryReport = field(default_factory=OdometryReport)
     verdict: tuple[Finding, ...] = ()
+    laser: IntArray | None = None
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

@@ -28,6 +28,8 @@ class LaserModel:
         Limits of a valid return [m]; ranges above ``NO_RETURN_FRACTION * range_max`` are missing returns.
     T_base_laser : (x, y, theta)
         Mounting: the laser in the robot's base frame [m, m, rad].
+    number : int
+        Which of the robot's lasers it is, from 0.
     """
 
     angle_min: float
@@ -36,6 +38,7 @@ class LaserModel:
     range_min: float
     range_max: float
     T_base_laser: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    number: int = 0
 
     def __post_init__(self) -> None:
         if self.n_beams < 1:
@@ -147,6 +150,26 @@ class Scan:
         points = _end_points(self.ranges, self.laser.origin_base, self.laser.directions_base)
         points.setflags(write=False)
         return points
+
+    def looks_at(self, places_base: FloatArray, margin_m: float = 0.5) -> BoolArray:
+        """(k,) mask of the places (k, 2) [m], base frame, that a beam reaches: in view, in reach and not occluded.
+
+        A return up to `margin_m` before the place counts as from there.
+        """
+        laser = self.laser
+        offsets = places_base - laser.origin_base
+        distance_m = np.hypot(offsets[:, 0], offsets[:, 1])
+        bearing = np.arctan2(offsets[:, 1], offsets[:, 0]) - laser.angles_base[0]
+        step = laser.angle_increment
+        beam = np.round(np.mod(bearing * np.sign(step), 2.0 * np.pi) / abs(step)).astype(np.int64)
+        turn = round(2.0 * np.pi / abs(step))
+        beam = np.where((beam >= len(self.ranges)) & (beam >= turn), beam - turn, beam)
+        is_in_view = beam < len(self.ranges)
+        reach_m = self.ranges[np.where(is_in_view, beam, 0)]
+        is_reached = (reach_m >= distance_m - margin_m) & (
+            distance_m < laser.range_max
+        )  # NaN reaches nothing
+        return np.asarray(is_in_view & is_reached)
 
     def points(self, T_a_base: FloatArray) -> FloatArray:
         """(n_beams, 2) end points in frame a [m] (eq. 2)."""

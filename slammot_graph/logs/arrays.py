@@ -231,7 +231,10 @@ def _laser(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> LaserModel:
     x, y, theta = laser_pose.tolist()
     try:
         return LaserModel(
-            **{key: float(arrays[key]) for key in SCALARS},
+            angle_min=float(arrays["angle_min"]),
+            angle_increment=float(arrays["angle_increment"]),
+            range_min=float(arrays["range_min"]),
+            range_max=float(arrays["range_max"]),
             n_beams=arrays["ranges"].shape[1],
             T_base_laser=(x, y, theta),
         )

@@ -25,8 +25,8 @@ class Topic:
     n_messages: int
 
 
-def choose_scan_topic(path: Path, topics: Sequence[Topic], requested: str | None) -> Topic:
-    """The topic of the laser scans.
+def choose_scan_topics(path: Path, topics: Sequence[Topic], requested: Sequence[str]) -> list[Topic]:
+    """The topics of the laser scans: the requested ones, else the only one.
 
     Raises
     ------
@@ -34,11 +34,17 @@ def choose_scan_topic(path: Path, topics: Sequence[Topic], requested: str | None
         None fits, several do, or the requested one is not there or of another type.
     """
     fitting = _filled(topics, SCAN_TYPES)
-    if requested is not None:
-        return _requested(path, topics, fitting, requested, "--scan-topic", "LaserScan")
+    if requested:
+        chosen = [_requested(path, topics, fitting, x, "--scan-topic", "LaserScan") for x in requested]
+        return list(dict.fromkeys(chosen))
     if not fitting:
         raise InputError(f"{path}: no LaserScan messages; its topics are {_listed(topics)}")
-    return _only(path, fitting, "--scan-topic", "LaserScan")
+    if len(fitting) > 1:
+        raise InputError(
+            f"{path}: several LaserScan topics ({_listed(fitting)}); name one with --scan-topic, or all that are"
+            " the robot's lasers"
+        )
+    return fitting
 
 
 def choose_odometry_topic(

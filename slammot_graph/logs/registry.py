@@ -1,12 +1,14 @@
 """`open_log`: the format of a log by its first bytes."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.logs.arrays import ArrayLog
 from slammot_graph.logs.bag_odometry import FrameNames
 from slammot_graph.logs.carmen import CarmenLog
-from slammot_graph.logs.mounting import check_laser_pose
+from slammot_graph.logs.mounting import GivenPoses, given_poses
+from slammot_graph.logs.remounted import RemountedLog, upside_down
 from slammot_graph.logs.rosbag import BagChoices, RosbagLog
 from slammot_graph.logs.source import LaserLog
 from slammot_graph.logs.text_lines import read_start
@@ -24,12 +26,12 @@ NPZ_MAGIC = b"PK\x03\x04"
 def open_log(
     path: str | Path,
     *,
-    scan_topic: str | None = None,
+    scan_topic: str | Sequence[str] | None = None,
     odom_topic: str | None = None,
     imu_topic: str | None = None,
     odom_frame: str | None = None,
     base_frame: str | None = None,
-    laser_pose: tuple[float, float, float] | None = None,
+    laser_pose: Sequence[float | str] | None = None,
     odometry: bool = True,
 ) -> LaserLog:
     """Open a log of any known format, told by its first bytes.
@@ -40,11 +42,13 @@ def open_log(
         CARMEN (``.log .clf``, also ``.gz .bz2``), ROS 1 ``.bag``, a ROS 2 bag folder, ``.db3`` or ``.mcap``,
         or ``.npz``.
     scan_topic, odom_topic, imu_topic : str, optional
-        Which topics of a bag to use where several would do.
+        Which topics of a bag to use where several would do; `scan_topic` may name several, of one robot's lasers.
     odom_frame, base_frame : str, optional
         Frames of a bag's tf between which to look for odometry; the laser's mounting is looked for on the base frame.
     laser_pose : (x, y, theta), optional
-        The laser in the robot's base [m, m, rad], counter-clockwise, in place of what the log says.
+        The laser in the robot's base [m, m, rad], counter-clockwise, in place of what the log says. The word "flip"
+        after them: it is upside down. Of a bag with several lasers, the name of the frame comes before each pose:
+        ``("front", 0.2, 0.0, 0.0, "rear", -0.2, 0.0, 3.14, "flip")``.
     odometry : bool
         False: leave the log's odometry aside, as if it had none.
 
@@ -57,27 +61,44 @@ def open_log(
     InputError
         No such file, an unknown or a damaged one, one without laser, a topic that is not there.
     ConfigError
-        The laser pose is not finite.
+        The laser pose is not such numbers and words.
     """
     path = Path(path)
-    check_laser_pose(laser_pose)
+    given = given_poses(laser_pose)
+    topics = (scan_topic,) if isinstance(scan_topic, str) else tuple(scan_topic or ())
     if _holds_a_bag(path):
         bag_path = _bag_in_folder(path) if path.is_dir() else path
         choices = BagChoices(
-            scan_topic=scan_topic,
+            scan_topics=topics,
             odom_topic=odom_topic,
             imu_topic=imu_topic,
             frames=FrameNames(odom=odom_frame, base=base_frame),
-            laser_pose=laser_pose,
+            laser_poses=given,
             odometry=odometry,
         )
-        return RosbagLog(bag_path, choices)
-    if any(name is not None for name in (scan_topic, odom_topic, imu_topic)):
+        bag = RosbagLog(bag_path, choices)
+        if laser_pose is not None and (list(given) != [""] or given[""].is_upside_down):
+            bag.source["given_laser_pose"] = [str(x) for x in laser_pose]
+        return bag
+    if topics or odom_topic is not None or imu_topic is not None:
         raise InputError(
             f"{path}: not a bag, so it has no topics; leave out --scan-topic, --odom-topic and --imu-topic"
         )
     if odom_frame is not None or base_frame is not None:
         raise InputError(f"{path}: not a bag, so it has no frames; leave out --odom-frame and --base-frame")
+    log = _open_file(path, given, odometry=odometry)
+    if "" in given and given[""].is_upside_down and laser_pose is not None:
+        return RemountedLog(log, upside_down, source={"given_laser_pose": [str(x) for x in laser_pose]})
+    return log
+
+
+def _open_file(path: Path, given: GivenPoses, *, odometry: bool) -> LaserLog:
+    """Open a log that is no bag; it has one laser, without a name."""
+    if set(given) - {""}:
+        raise InputError(
+            f"{path}: not a bag, so its laser has no frame; give --laser-pose X Y YAW without a name"
+        )
+    laser_pose = given[""].T_base_laser if given else None
     start = read_start(path)
     if start.startswith(NPZ_MAGIC):
         return ArrayLog(path, laser_pose=laser_pose, odometry=odometry)

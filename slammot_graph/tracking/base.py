@@ -1,6 +1,6 @@
 """What the pipeline asks of a tracker, and what it gets."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,9 +24,11 @@ class Track:
         Where it was first seen [m].
     n_hits : int
     missed_s : float
-        Time since the last cluster.
+        Time since the last cluster in which a laser looked there.
     beams : (k,) int array
         Beams of the latest scan; empty when the track was only predicted.
+    unseen_s : float
+        Time since a laser last looked where the object should be; zero where there is one laser.
     """
 
     track_id: int
@@ -36,6 +38,11 @@ class Track:
     n_hits: int
     missed_s: float
     beams: IntArray
+    unseen_s: float = 0.0
+
+
+LooksAt = Callable[[FloatArray], BoolArray]
+"""Of places (k, 2) [m], those that a scan looks at."""
 
 
 class Tracker(Protocol):
@@ -58,6 +65,7 @@ class Tracker(Protocol):
         centre_covs: FloatArray,
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
+        looks_at: "LooksAt | None" = None,
     ) -> list[Track]:
         """Take in the clusters of a scan.
 
@@ -72,6 +80,9 @@ class Tracker(Protocol):
             Beams of each cluster.
         is_proven : (k,) bool array, optional
             Clusters with a beam on free cells; by default all.
+        looks_at : callable, optional
+            Of the scan of one among several lasers: which places (k, 2), tracker's frame, it looked at. An object
+            elsewhere is not missed. By default the scan looked everywhere.
 
         Returns
         -------

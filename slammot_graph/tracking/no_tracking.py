@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking.base import Track
+from slammot_graph.tracking.base import LooksAt, Track
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +37,7 @@ class NoTracking:
         centre_covs: FloatArray,
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
+        looks_at: LooksAt | None = None,
     ) -> list[Track]:
         """See `Tracker`."""
         return []

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
-from slammot_graph.tracking.base import Track
+from slammot_graph.tracking.base import LooksAt, Track
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +29,8 @@ class KalmanTrackerConfig(Checked):
         Clusters needed before a track is reported.
     max_missed_s : float
         A track that no cluster confirmed for this long ends.
+    max_unseen_s : float
+        So does one where none of several lasers looked for this long.
     min_distance_m : float
         An object has displaced when it is this far from where it was first seen.
     """
@@ -39,6 +41,7 @@ class KalmanTrackerConfig(Checked):
     gate: PositiveOrInfinite = 9.21
     n_confirm: Count = 3
     max_missed_s: Positive = 1.0
+    max_unseen_s: Positive = 2.0
     min_distance_m: Positive = 1.0
 
 
@@ -74,6 +77,7 @@ class KalmanTracker:
         centre_covs: FloatArray,
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
+        looks_at: LooksAt | None = None,
     ) -> list[Track]:
         """Predict to `stamp_s`, join clusters to tracks, begin and end tracks.
 
@@ -90,6 +94,8 @@ class KalmanTracker:
         is_proven : (k,) bool array, optional
             Clusters with a beam on free cells; the others follow from their track alone, do not begin one, and do
             not keep one alive. By default all are proven.
+        looks_at : callable, optional
+            See `Tracker.update`.
 
         Returns
         -------
@@ -115,7 +121,9 @@ class KalmanTracker:
             else _follow(track, state, cov, dt, None, False)
             for track, state, cov, c in zip(self.tracks, states, covs, joined, strict=True)
         ]
-        kept = [track for track in followed if track.missed_s <= self.config.max_missed_s]
+        if looks_at is not None:
+            followed = self._less_missed(followed, dt, looks_at)
+        kept = [track for track in followed if self._lives(track)]
         begun = [
             self._begin(centres[c], noise[c], beams[c])
             for c in range(len(centres))
@@ -123,6 +131,25 @@ class KalmanTracker:
         ]
         self.tracks = kept + begun
         return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
+
+    def _less_missed(self, followed: list[Track], dt: float, looks_at: LooksAt) -> list[Track]:
+        """Take back what tracks have missed, `dt` [s], where the scan did not look; that counts later in part."""
+        is_looked_at = looks_at(np.array([track.state[:2] for track in followed]).reshape(-1, 2))
+        longest_s = 0.5 * self.config.max_missed_s
+        out = []
+        for track, is_looked in zip(followed, is_looked_at.tolist(), strict=True):
+            if track.missed_s == 0.0:
+                out.append(replace(track, unseen_s=0.0))
+            elif is_looked:
+                missed_s = track.missed_s + min(track.unseen_s, longest_s)
+                out.append(replace(track, missed_s=missed_s, unseen_s=0.0))
+            else:
+                missed_s, unseen_s = track.missed_s - dt, track.unseen_s + dt
+                out.append(replace(track, missed_s=missed_s, unseen_s=unseen_s))
+        return out
+
+    def _lives(self, track: Track) -> bool:
+        return track.missed_s <= self.config.max_missed_s and track.unseen_s <= self.config.max_unseen_s
 
     def _assign(
         self, states: FloatArray, covs: FloatArray, centres: FloatArray, noise: FloatArray
@@ -171,4 +198,5 @@ def _follow(
         n_hits=track.n_hits if beams is None else track.n_hits + 1,
         missed_s=0.0 if is_proven else track.missed_s + dt,
         beams=np.empty(0, dtype=np.int64) if beams is None else beams,
+        unseen_s=track.unseen_s,
     )

@@ -1,0 +1,77 @@
+"""A recorded log whose lasers are mounted otherwise than it says."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from slammot_graph.core.log_info import SourceInfo
+from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.logs.source import LaserLog, SkippedScan, source_of
+
+
+class RemountedLog:
+    """A `LaserLog` as another one, with other mountings.
+
+    Parameters
+    ----------
+    log : LaserLog
+    remount : callable
+        Gives the laser to use in place of one of the log.
+    warnings : sequence of str
+        Come before those of the log.
+    source : SourceInfo, optional
+        In place of the same keys of the log's.
+    replaces : str, optional
+        The log's warnings that have these words are left out.
+    """
+
+    def __init__(
+        self,
+        log: LaserLog,
+        remount: Callable[[LaserModel], LaserModel],
+        *,
+        warnings: Sequence[str] = (),
+        source: SourceInfo | None = None,
+        replaces: str | None = None,
+    ) -> None:
+        self.path: Path = log.path
+        self.source: SourceInfo = source_of(log)
+        self.source.update(source or {})
+        self._log = log
+        self._remount = remount
+        self._warnings = list(warnings)
+        self._replaces = replaces
+        self._lasers: dict[LaserModel, LaserModel] = {}
+
+    @property
+    def n_scans(self) -> int:
+        """See `LaserLog`."""
+        return self._log.n_scans
+
+    @property
+    def skipped(self) -> list[SkippedScan]:
+        """See `Source`."""
+        return self._log.skipped
+
+    @property
+    def warnings(self) -> list[str]:
+        """See `Source`; without the log's warning that these take the place of."""
+        kept = [x for x in self._log.warnings if self._replaces is None or self._replaces not in x]
+        return [*self._warnings, *kept]
+
+    def __iter__(self) -> Iterator[Scan]:
+        """Give the log's scans, mounted otherwise."""
+        last: LaserModel | None = None
+        now: LaserModel | None = None
+        for scan in self._log:
+            if now is None or scan.laser is not last:
+                last = scan.laser
+                if last not in self._lasers:
+                    self._lasers[last] = self._remount(last)
+                now = self._lasers[last]
+            yield replace(scan, laser=now)
+
+
+def upside_down(laser: LaserModel) -> LaserModel:
+    """The same laser turned over: its beams run the other way round, seen from above."""
+    return replace(laser, angle_min=-laser.angle_min, angle_increment=-laser.angle_increment)
