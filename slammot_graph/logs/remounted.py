@@ -39,8 +39,10 @@ class RemountedLog:
         self.source.update(source or {})
         self._log = log
         self._remount = remount
-        self._warnings = list(warnings)
+        self._own_warnings = list(warnings)
         self._replaces = replaces
+        self.skipped: list[SkippedScan] = log.skipped
+        self.warnings: list[str] = self._all_warnings()
         self._lasers: dict[LaserModel, LaserModel] = {}
 
     @property
@@ -48,28 +50,33 @@ class RemountedLog:
         """See `LaserLog`."""
         return self._log.n_scans
 
-    @property
-    def skipped(self) -> list[SkippedScan]:
-        """See `Source`."""
-        return self._log.skipped
-
-    @property
-    def warnings(self) -> list[str]:
-        """See `Source`; without the log's warning that these take the place of."""
+    def _all_warnings(self) -> list[str]:
+        """Its own, and the log's without those that they take the place of."""
         kept = [x for x in self._log.warnings if self._replaces is None or self._replaces not in x]
-        return [*self._warnings, *kept]
+        return [*self._own_warnings, *kept]
 
     def __iter__(self) -> Iterator[Scan]:
         """Give the log's scans, mounted otherwise."""
-        last: LaserModel | None = None
-        now: LaserModel | None = None
-        for scan in self._log:
-            if now is None or scan.laser is not last:
-                last = scan.laser
-                if last not in self._lasers:
-                    self._lasers[last] = self._remount(last)
-                now = self._lasers[last]
-            yield replace(scan, laser=now)
+        scans = iter(self._log)
+        self.skipped = self._log.skipped
+        self.warnings = self._all_warnings()
+        return self._remounted(scans, self.warnings)
+
+    def _remounted(self, scans: Iterator[Scan], warnings: list[str]) -> Iterator[Scan]:
+        last = now = None
+        try:
+            for scan in scans:
+                if now is None or scan.laser is not last:
+                    last = scan.laser
+                    if last not in self._lasers:
+                        self._lasers[last] = self._remount(last)
+                    now = self._lasers[last]
+                yield replace(scan, laser=now)
+        finally:
+            close = getattr(scans, "close", None)
+            if close is not None:
+                close()
+            warnings[:] = self._all_warnings()
 
 
 def upside_down(laser: LaserModel) -> LaserModel:
