@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import tyro
 from rich.table import Table
@@ -144,6 +144,7 @@ def run_command(
         max_scans=max_scans,
         observers=_observers(output, rerun),
     )
+    opened = cast("LaserLog", run.log)
     early = inspect_first(opened, limits_of(run.config))
     warn_of(opened, early)
     outcome = _execute(run, opened, output, overwrite=overwrite)

@@ -44,7 +44,7 @@ def test_each_scan_has_its_laser_and_the_order_is_that_of_the_stamps(
 
 
 def test_several_topics_must_be_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="several LaserScan topics .*or all that are the robot's lasers"):
+    with pytest.raises(InputError, match=r"several LaserScan topics .*or all that are the robot's lasers"):
         open_log(two(tmp_path))
 
 
@@ -79,14 +79,15 @@ def test_what_is_no_laser_pose(words: tuple[float | str, ...]) -> None:
 
 def test_a_flipped_laser_of_arrays(tmp_path: Path) -> None:
     ranges = np.ones((4, 5))
-    args = {
-        "stamps": 0.1 * np.arange(4),
-        "angle_min": -1.0,
-        "angle_increment": 0.25,
-        "range_min": 0.1,
-        "range_max": 9.0,
-    }
-    write_npz_log(tmp_path / "log.npz", ranges=ranges, **args)
+    write_npz_log(
+        tmp_path / "log.npz",
+        stamps=0.1 * np.arange(4),
+        ranges=ranges,
+        angle_min=-1.0,
+        angle_increment=0.25,
+        range_min=0.1,
+        range_max=9.0,
+    )
     log = open_log(tmp_path / "log.npz", laser_pose=(0.1, 0.0, 1.0, "flip"))
     laser = next(iter(log)).laser
     assert (laser.angle_min, laser.angle_increment, laser.T_base_laser) == (1.0, -0.25, (0.1, 0.0, 1.0))
