@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from slammot_graph.logs import LaserLog
 
 LaserPose = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[FRAME] X Y YAW [flip]")]
+CloudTopic = Annotated[str | None, tyro.conf.arg(metavar="T")]
+Slice = Annotated[tuple[float, float] | None, tyro.conf.arg(name="slice", metavar="Z_MIN Z_MAX")]
 ScanTopics = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="T")]
 OdometrySwitch = Literal["on", "off"]
 """Options of the commands that run a log."""
@@ -79,4 +81,14 @@ def open_log_of_run(
         base_frame=source.get("base_frame"),
         laser_pose=laser_pose,
         odometry=source.get("odometry") != "off",
+        cloud_topic=source.get("cloud_topic"),
+        heights=_heights(source.get("slice")),
     )
+
+
+def _heights(told: object) -> tuple[float, float] | None:
+    """The slice of a summary; None where there is none."""
+    match told:
+        case [float() | int() as low, float() | int() as high]:
+            return float(low), float(high)
+    return None

@@ -31,7 +31,7 @@ from slammot_graph.cli.console import (
     warn,
     warn_of,
 )
-from slammot_graph.cli.files import LaserPose, OdometrySwitch, ScanTopics
+from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice
 from slammot_graph.cli.logs import write_simulation
 from slammot_graph.core.errors import InputError
 
@@ -64,6 +64,8 @@ def run_command(
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     scan_topic: ScanTopics = None,
+    cloud_topic: CloudTopic = None,
+    heights: Slice = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -91,6 +93,10 @@ def run_command(
         Take the log's first ones only.
     scan_topic
         Which laser of a bag, or which lasers.
+    cloud_topic
+        Clouds (PointCloud2) of a bag, to make scans of.
+    heights
+        Heights above the base between which a cloud is cut into a scan [m].
     odom_topic
         Which odometry of a bag.
     imu_topic
@@ -121,6 +127,8 @@ def run_command(
     opened = open_log(
         log,
         scan_topic=scan_topic,
+        cloud_topic=cloud_topic,
+        heights=heights,
         odom_topic=odom_topic,
         imu_topic=imu_topic,
         odom_frame=odom_frame,

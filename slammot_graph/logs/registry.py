@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from slammot_graph.core.errors import InputError
+from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.logs.arrays import ArrayLog
+from slammot_graph.logs.bag_clouds import CloudSlice
 from slammot_graph.logs.bag_odometry import FrameNames
 from slammot_graph.logs.carmen import CarmenLog
 from slammot_graph.logs.mounting import GivenPoses, given_poses
@@ -23,7 +24,7 @@ OLD_BAG_MAGIC = (b"#ROSRECORD V", b"#ROSLOG V", b"#ROSBAG V1")
 NPZ_MAGIC = b"PK\x03\x04"
 
 
-def open_log(
+def open_log(  # noqa: PLR0913  # what may be chosen of a log, each with a default
     path: str | Path,
     *,
     scan_topic: str | Sequence[str] | None = None,
@@ -33,6 +34,8 @@ def open_log(
     base_frame: str | None = None,
     laser_pose: Sequence[float | str] | None = None,
     odometry: bool = True,
+    cloud_topic: str | None = None,
+    heights: tuple[float, float] | None = None,
 ) -> LaserLog:
     """Open a log of any known format, told by its first bytes.
 
@@ -51,6 +54,10 @@ def open_log(
         ``("front", 0.2, 0.0, 0.0, "rear", -0.2, 0.0, 3.14, "flip")``.
     odometry : bool
         False: leave the log's odometry aside, as if it had none.
+    cloud_topic : str, optional
+        Clouds (PointCloud2) of a bag of which scans are made ...
+    heights : (z_min, z_max), optional
+        ... from the points between these heights above the base [m].
 
     Returns
     -------
@@ -66,6 +73,12 @@ def open_log(
     path = Path(path)
     given = given_poses(laser_pose)
     topics = (scan_topic,) if isinstance(scan_topic, str) else tuple(scan_topic or ())
+    if (cloud_topic is None) != (heights is None):
+        raise ConfigError("scans are made of clouds with both --cloud-topic T and --slice Z_MIN Z_MAX")
+    if heights is not None and not heights[0] < heights[1]:
+        raise ConfigError(f"--slice needs Z_MIN < Z_MAX, not {heights[0]:g} {heights[1]:g}")
+    if cloud_topic is not None and topics:
+        raise ConfigError("give either --scan-topic or --cloud-topic")
     if _holds_a_bag(path):
         bag_path = _bag_in_folder(path) if path.is_dir() else path
         choices = BagChoices(
@@ -75,12 +88,14 @@ def open_log(
             frames=FrameNames(odom=odom_frame, base=base_frame),
             laser_poses=given,
             odometry=odometry,
+            cloud_topic=cloud_topic,
+            heights=None if heights is None else CloudSlice(z_min_m=heights[0], z_max_m=heights[1]),
         )
         bag = RosbagLog(bag_path, choices)
         if laser_pose is not None and (list(given) != [""] or given[""].is_upside_down):
             bag.source["given_laser_pose"] = [str(x) for x in laser_pose]
         return bag
-    if topics or odom_topic is not None or imu_topic is not None:
+    if topics or cloud_topic is not None or odom_topic is not None or imu_topic is not None:
         raise InputError(
             f"{path}: not a bag, so it has no topics; leave out --scan-topic, --odom-topic and --imu-topic"
         )

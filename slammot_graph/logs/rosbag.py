@@ -12,6 +12,8 @@ from slammot_graph.core.log_info import SourceInfo
 from slammot_graph.core.odometry_track import MAX_HOLD_S, OdometryTrack
 from slammot_graph.core.scan import LaserModel
 from slammot_graph.core.types import FloatArray
+from slammot_graph.logs.bag_cloud_lasers import cloud_place, find_slicers
+from slammot_graph.logs.bag_clouds import CloudSlice, CloudSlicer, cloud_points
 from slammot_graph.logs.bag_imu import YawTrack, read_yaw
 from slammot_graph.logs.bag_messages import BagMessage, frame_name, open_bag
 from slammot_graph.logs.bag_mounting import FoundMounting
@@ -33,7 +35,7 @@ from slammot_graph.logs.bag_scans import (
     read_scan_headers,
     topic_names,
 )
-from slammot_graph.logs.bag_topics import choose_imu_topic, choose_scan_topics
+from slammot_graph.logs.bag_topics import choose_cloud_topic, choose_imu_topic, choose_scan_topics
 from slammot_graph.logs.base import RawScan, RecordedLog, Records, one_line
 from slammot_graph.logs.mounting import GivenPoses, laser_pose_source
 from slammot_graph.logs.scan_odometry import ScanOdometry, are_sane_poses, no_odometry, odometry_of_log
@@ -60,6 +62,10 @@ class BagChoices:
         Lasers in the base, in place of what tf says.
     odometry : bool
         False: leave the odometry aside.
+    cloud_topic : str, optional
+        Clouds of a 3D lidar, of which scans are made, in place of the scans.
+    heights : CloudSlice, optional
+        Their slice.
     """
 
     scan_topics: tuple[str, ...] = ()
@@ -68,6 +74,8 @@ class BagChoices:
     frames: FrameNames = field(default_factory=FrameNames)
     laser_poses: GivenPoses = field(default_factory=dict)
     odometry: bool = True
+    cloud_topic: str | None = None
+    heights: CloudSlice | None = None
 
 
 class RosbagLog(RecordedLog):
@@ -92,7 +100,10 @@ class RosbagLog(RecordedLog):
 
     def __init__(self, path: Path, choices: BagChoices) -> None:
         with open_bag(path) as bag:
-            self._scan_topics = choose_scan_topics(path, bag.topics, choices.scan_topics)
+            if choices.cloud_topic is None:
+                self._scan_topics = choose_scan_topics(path, bag.topics, choices.scan_topics)
+            else:
+                self._scan_topics = [choose_cloud_topic(path, bag.topics, choices.cloud_topic)]
             headers = read_scan_headers(bag, self._scan_topics)
             n_scans = len(headers.stamps)
             found = BagOdometry()
@@ -100,6 +111,10 @@ class RosbagLog(RecordedLog):
                 found = read_odometry(bag, choices.odom_topic, choices.frames, n_scans=n_scans)
             bases = base_frames(found.samples, choices.frames.base)
             lasers = find_lasers(bag, self._scan_topics, headers.frames, bases, choices.laser_poses)
+            self._slicers: dict[str, CloudSlicer] = {}
+            if choices.heights is not None:
+                places = {x: cloud_place(bag, bases, x, lasers.mountings[x]) for x in lasers.mountings}
+                self._slicers = find_slicers(bag, self._scan_topics, places, choices.heights)
             stamps, uses_headers, warnings = _stamps(headers, found)
             order = order_of_scans(stamps, headers.laser)
             self._stamps, self._place = stamps[order], np.argsort(order)
@@ -112,6 +127,11 @@ class RosbagLog(RecordedLog):
                 self._yaw = read_yaw(bag, imu_topic, bases, uses_headers=uses_headers)
         self._mountings, self._numbers = lasers.mountings, headers.numbers
         source: SourceInfo = {"scan_topic": topic_names(self._scan_topics)}
+        if choices.cloud_topic is not None and choices.heights is not None:
+            source = {
+                "cloud_topic": self._scan_topics[0].name,
+                "slice": (choices.heights.z_min_m, choices.heights.z_max_m),
+            }
         if len(headers.numbers) > 1:
             source["lasers"] = [
                 {"topic": topic, "frame": frame, "n_scans": int(np.count_nonzero(headers.laser == number))}
@@ -164,10 +184,15 @@ class RosbagLog(RecordedLog):
         found = self._mountings.get(frame)
         if found is None:
             raise ValueError(f"it is not known where frame {frame or '(unnamed)'} sits on the robot")
-        laser = _laser(scan, (frame, self._numbers[message.topic, frame]), found, lasers)
         stamp = float(self._stamps[record])
-        with np.errstate(invalid="ignore"):  # a signalling NaN in a range is just an invalid beam
-            ranges = scan.ranges.astype(np.float64)
+        if frame in self._slicers:
+            laser = self._slicers[frame].laser
+            sweep = self._slicers[frame].sweep(*cloud_points(scan))
+            ranges = sweep.ranges  # a scan has one time as yet: `sweep.times_s` are those of its beams
+        else:
+            laser = _laser(scan, (frame, self._numbers[message.topic, frame]), found, lasers)
+            with np.errstate(invalid="ignore"):  # a signalling NaN in a range is just an invalid beam
+                ranges = scan.ranges.astype(np.float64)
         return RawScan(
             place=place,
             stamp=stamp,

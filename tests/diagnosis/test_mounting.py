@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def bag(tmp_path: Path, yaw: float, *, is_upside_down: bool) -> Path:
     for k, pose in enumerate(T):
         t = 1000.0 + 0.1 * k
         beams = pose[2] + yaw + (-angles if is_upside_down else angles)
-        sent.append(bf.scan(t, room(pose, beams), **ANGLES))
+        sent.append(bf.scan(t, room(pose, beams), **dict[str, Any](ANGLES)))
         sent.append(bf.odometry(t, se2.between(T[0], pose).tolist()))
     return bf.write_bag(tmp_path, sent)
 
