@@ -29,7 +29,7 @@ def simulate_command(
     Parameters
     ----------
     scenario
-        One of one-walker, two-walkers, lab, office, corridor, hall, crowd, building.
+        One of one-walker, two-walkers, lab, office, corridor, hall, crowd, building, two-lasers.
     output
         The log to write.
     seed

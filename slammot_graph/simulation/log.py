@@ -32,6 +32,8 @@ class SimulatedLog:
         Which one; -1 for none.
     objects : (n, people, 4) array
         x, y [m], vx, vy [m/s] in the world; NaN while away.
+    lasers : tuple of LaserModel
+        All lasers, who took the scans in turn; the first is `laser`.
     """
 
     def __init__(
@@ -46,9 +48,11 @@ class SimulatedLog:
         is_moving: BoolArray,
         object_id: IntArray,
         objects: FloatArray,
+        lasers: tuple[LaserModel, ...] = (),
     ) -> None:
         self.path = Path(name)
         self.laser = laser
+        self.lasers = lasers or (laser,)
         self.stamps = stamps
         self.ranges = ranges
         self.T_odom_base = T_odom_base
@@ -68,7 +72,7 @@ class SimulatedLog:
                 index=k,
                 stamp=float(self.stamps[k]),
                 ranges=self.ranges[k],
-                laser=self.laser,
+                laser=self.lasers[k % len(self.lasers)],
                 T_odom_base=self.T_odom_base[k] if has_odometry[k] else None,
                 truth=ScanTruth(
                     T_world_base=self.T_world_base[k],
@@ -90,6 +94,7 @@ class SimulatedLog:
             is_moving=self.is_moving,
             object_id=self.object_id,
             objects=self.objects,
+            lasers=self.lasers,
         )
 
     def arrays(self) -> dict[str, Any]:
@@ -106,6 +111,16 @@ class SimulatedLog:
             "poses": self.T_world_base,
             "is_moving": self.is_moving,
             "object_id": self.object_id,
+            **self._laser_arrays(),
+        }
+
+    def _laser_arrays(self) -> dict[str, Any]:
+        """What tells of several lasers; nothing of one."""
+        if len(self.lasers) == 1:
+            return {}
+        return {
+            "laser": np.arange(self.n_scans) % len(self.lasers),
+            "laser_poses": np.array([laser.T_base_laser for laser in self.lasers]),
         }
 
     def write(self, path: str | Path) -> None:

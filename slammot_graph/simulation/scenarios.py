@@ -31,6 +31,9 @@ class Scenario:
         How often the robot drives its route.
     drive, odometry, people
         Configuration of the parts.
+    mountings : tuple of (x, y, theta)
+        Of several lasers of the same kind on the base [m, m, rad], who scan in turn at even intervals; empty: one, as it
+        is mounted.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Scenario:
     drive: DriveConfig = field(default_factory=DriveConfig)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     people: PeopleConfig = field(default_factory=PeopleConfig)
+    mountings: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.n_people < 0:
@@ -63,6 +67,12 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario(name="hall", world="hall", n_people=6),
         Scenario(name="crowd", world="hall", n_people=20, people=PeopleConfig(behaviour="crowd")),
         Scenario(name="building", world="building", n_people=6),
+        Scenario(
+            name="two-lasers",
+            world="hall",
+            n_people=6,
+            mountings=((0.25, 0.0, 0.0), (-0.25, 0.0, np.pi)),
+        ),
     )
 }
 
@@ -116,21 +126,33 @@ def simulate(
     world = world_named(chosen.world)
     scanner = laser_named(chosen.laser).at_rate(chosen.rate_hz)
     streams = np.random.default_rng(seed).spawn(4)
-    period_s = 1.0 / scanner.rate_hz
+    n_lasers = max(len(chosen.mountings), 1)
+    period_s = 1.0 / (n_lasers * scanner.rate_hz)
     route = _laps(world.route, chosen.n_laps)
     T_world_base = drive(route, chosen.drive, period_s, streams[0])
     stamps = period_s * np.arange(len(T_world_base), dtype=np.float64)
     T_odom_base, _ = simulate_odometry(T_world_base, chosen.odometry, streams[1], noise_scale=noise_scale)
     objects = walk(world.free_space, stamps, T_world_base, chosen.n_people, chosen.people, streams[2])
     shapes, person = circles(objects, stamps, chosen.people)
-    ranges, hits = measure(T_world_base, scanner, world.segments, shapes, streams[3])
+    scanners = [
+        replace(scanner, model=replace(scanner.model, T_base_laser=pose, number=number))
+        for number, pose in enumerate(chosen.mountings)
+    ] or [scanner]
+    ranges = np.empty((len(stamps), scanner.model.n_beams))
+    hits = np.empty(ranges.shape, dtype=np.int64)
+    for number, (one, rng) in enumerate(
+        zip(scanners, [streams[3], *streams[3].spawn(n_lasers - 1)], strict=True)
+    ):
+        own = slice(number, None, n_lasers)
+        ranges[own], hits[own] = measure(T_world_base[own], one, world.segments, shapes[own], rng)
     is_moving = hits >= 0
     object_id = (
         np.where(is_moving, person[np.maximum(hits, 0)], -1) if len(person) else np.full_like(hits, -1)
     )
     return SimulatedLog(
         name=chosen.name,
-        laser=scanner.model,
+        laser=scanners[0].model,
+        lasers=tuple(one.model for one in scanners),
         stamps=stamps,
         ranges=ranges,
         T_odom_base=T_odom_base,
