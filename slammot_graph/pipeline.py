@@ -20,7 +20,7 @@ from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.base import LooksAt, track_states
+from slammot_graph.tracking.base import LooksAt, edge_covariances, track_states
 from slammot_graph.tracking.factory import make_tracker
 
 __all__ = ["Pipeline", "PipelineConfig"]
@@ -233,7 +233,10 @@ class Pipeline:
         if len(self._lasers) > 1:
             T_base_local = se2.inverse(T_local_base)
             looks_at = lambda places: scan.looks_at(se2.transform(T_base_local, places))  # noqa: E731
-        tracks = self.tracker.update(scan.stamp, *detection.clusters(points), looks_at=looks_at)
+        centres, covs, beams = detection.clusters(points)
+        if looks_at is not None and len(beams):
+            covs = covs + edge_covariances(beams, len(scan.ranges))
+        tracks = self.tracker.update(scan.stamp, centres, covs, beams, looks_at=looks_at)
         return track_states(tracks, self.localizer.T_map_local)
 
     def _remember(

@@ -19,7 +19,7 @@ from slammot_graph.core.events import Event
 from slammot_graph.core.results import Health, RunResult, StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.diagnosis import RunStatistics, diagnose, limits_of, with_found_mounting
+from slammot_graph.diagnosis import RunStatistics, diagnose, limits_of, with_found_mounting, without_own_body
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs import describe
 from slammot_graph.logs.source import SkippedScan
@@ -49,7 +49,8 @@ class Run:
     ----------
     log : iterable of Scan
         A `LaserLog`, or any other source of scans; a live one need not know its length and is not read twice. Where
-        the mounting of a recorded laser is only assumed, the first metres are read before, for what they tell of it.
+        the mounting of a recorded laser is only assumed, the first metres are read before, for what they tell of it;
+        of any recorded log, as far as it takes to tell the robot's own body from what it drives by.
     method : str
         A name of the method registry.
     config : PipelineConfig or KissIcpConfig, optional
@@ -81,7 +82,7 @@ class Run:
     ) -> None:
         if max_scans is not None and max_scans < 1:
             raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
-        self.log: Iterable[Scan] = with_found_mounting(log)
+        self.log: Iterable[Scan] = without_own_body(with_found_mounting(log))
         self.method = method
         self.config = config if config is not None else get_method(method).config
         if max_range_m is not None:

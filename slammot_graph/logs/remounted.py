@@ -1,4 +1,4 @@
-"""A recorded log whose lasers are mounted otherwise than it says."""
+"""A recorded log whose lasers are mounted otherwise than it says, or of which returns are left aside."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -10,13 +10,15 @@ from slammot_graph.logs.source import LaserLog, SkippedScan, source_of
 
 
 class RemountedLog:
-    """A `LaserLog` as another one, with other mountings.
+    """A `LaserLog` as another one, with other mountings or without some returns.
 
     Parameters
     ----------
     log : LaserLog
-    remount : callable
+    remount : callable, optional
         Gives the laser to use in place of one of the log.
+    leave_aside : callable, optional
+        Gives a scan without some returns.
     warnings : sequence of str
         Come before those of the log.
     source : SourceInfo, optional
@@ -28,8 +30,9 @@ class RemountedLog:
     def __init__(
         self,
         log: LaserLog,
-        remount: Callable[[LaserModel], LaserModel],
+        remount: Callable[[LaserModel], LaserModel] | None = None,
         *,
+        leave_aside: Callable[[Scan], Scan] | None = None,
         warnings: Sequence[str] = (),
         source: SourceInfo | None = None,
         replaces: str | None = None,
@@ -39,6 +42,7 @@ class RemountedLog:
         self.source.update(source or {})
         self._log = log
         self._remount = remount
+        self._leave_aside = leave_aside
         self._own_warnings = list(warnings)
         self._replaces = replaces
         self.skipped: list[SkippedScan] = log.skipped
@@ -66,6 +70,9 @@ class RemountedLog:
         last = now = None
         try:
             for scan in scans:
+                if self._remount is None:
+                    yield scan if self._leave_aside is None else self._leave_aside(scan)
+                    continue
                 if now is None or scan.laser is not last:
                     last = scan.laser
                     if last not in self._lasers:

@@ -19,7 +19,6 @@ class SimulatedLog:
     ----------
     path : Path
         Name of the scenario, for messages.
-    laser : LaserModel
     stamps : (n,) array [s]
     ranges : (n, beams) array [m]
     T_odom_base : (n, 3) array
@@ -33,7 +32,7 @@ class SimulatedLog:
     objects : (n, people, 4) array
         x, y [m], vx, vy [m/s] in the world; NaN while away.
     lasers : tuple of LaserModel
-        All lasers, who took the scans in turn; the first is `laser`.
+        Who took the scans in turn; `laser` is the first one.
     """
 
     def __init__(
@@ -51,7 +50,6 @@ class SimulatedLog:
         lasers: tuple[LaserModel, ...] = (),
     ) -> None:
         self.path = Path(name)
-        self.laser = laser
         self.lasers = lasers or (laser,)
         self.stamps = stamps
         self.ranges = ranges
@@ -63,6 +61,11 @@ class SimulatedLog:
         self.n_scans = len(stamps)
         self.skipped: list[SkippedScan] = []
         self.warnings: list[str] = []
+
+    @property
+    def laser(self) -> LaserModel:
+        """The first laser."""
+        return self.lasers[0]
 
     def __iter__(self) -> Iterator[Scan]:
         track = rising_track(self.stamps, self.T_odom_base, self.stamps)

@@ -32,8 +32,8 @@ class Scenario:
     drive, odometry, people
         Configuration of the parts.
     mountings : tuple of (x, y, theta)
-        Of several lasers of the same kind on the base [m, m, rad], who scan in turn at even intervals; empty: one, as it
-        is mounted.
+        Of several lasers of the same kind on the base [m, m, rad], who scan in turn at even intervals; empty: one, as
+        it is mounted.
     """
 
     name: str

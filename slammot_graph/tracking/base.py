@@ -108,3 +108,18 @@ def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[Trac
         )
         for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
     )
+
+
+EDGE_BEAMS = 2
+"""A cluster that reaches so near to the first or last beam of a scan may be cut off there."""
+
+EDGE_STD_M = 0.25
+"""How far the centre of what is seen of a person may be from his own, where the field of view cuts him."""
+
+
+def edge_covariances(beams: Sequence[IntArray], n_beams: int) -> FloatArray:
+    """(k, 2, 2) covariances [m^2] that clusters' centres have in addition where the field of view cuts them."""
+    is_cut = np.array(
+        [b.min() < EDGE_BEAMS or b.max() >= n_beams - EDGE_BEAMS for b in beams], dtype=np.float64
+    )
+    return np.asarray(EDGE_STD_M**2 * is_cut[:, None, None] * np.eye(2))
