@@ -233,10 +233,10 @@ class Pipeline:
         if len(self._lasers) > 1:
             T_base_local = se2.inverse(T_local_base)
             looks_at = lambda places: scan.looks_at(se2.transform(T_base_local, places))  # noqa: E731
-        centres, covs, beams = detection.clusters(points)
+        centres, covs, beams, is_proven = detection.clusters(points)
         if looks_at is not None and len(beams):
             covs = covs + edge_covariances(beams, len(scan.ranges))
-        tracks = self.tracker.update(scan.stamp, centres, covs, beams, looks_at=looks_at)
+        tracks = self.tracker.update(scan.stamp, centres, covs, beams, is_proven, looks_at)
         return track_states(tracks, self.localizer.T_map_local)
 
     def _remember(

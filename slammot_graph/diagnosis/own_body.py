@@ -88,10 +88,10 @@ def _warning(laser: LaserModel, body: OwnBody) -> str:
     sectors = [f"{degrees[a]:.0f}" + ("" if a == b else f" to {degrees[b]:.0f}") for a, b in ends]
     more = "" if len(sectors) <= 4 else f" and {len(sectors) - 4} more"
     low, high = np.nanmin(body.range_m), np.nanmax(body.range_m)
-    return (
-        f"{len(beams)} beams hit the robot's own body (at {', '.join(sectors[:4])}{more} degrees of the laser, {low:.2f}"
-        f" to {high:.2f} m whatever the pose); these returns are left aside"
+    where = (
+        f"at {', '.join(sectors[:4])}{more} degrees of the laser, {low:.2f} to {high:.2f} m whatever the pose"
     )
+    return f"{len(beams)} beams hit the robot's own body ({where}); these returns are left aside"
 
 
 @dataclass(eq=False)
