@@ -3,6 +3,7 @@
 import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -68,6 +69,7 @@ class Pipeline:
         self._sightings = SightingHistory()
         self._stamps = array("d")
         self._stopwatch = Stopwatch()
+        self._lasers: set[int] = set()
 
     def __enter__(self) -> "Pipeline":
         """Give the pipeline itself."""
@@ -286,6 +288,7 @@ class Pipeline:
     ) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
         self._stamps.append(scan.stamp)
+        self._lasers.add(scan.laser.number)
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
         view = ScanView.of_scan(
@@ -298,6 +301,8 @@ class Pipeline:
             is_valid=is_valid,
             range_fraction=self.config.range_fraction,
         )
+        if len(self._lasers) > 1:
+            view = replace(view, is_one_of_several=True)
         tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
         sightings = self.tracker.sightings
         if sightings is not None:

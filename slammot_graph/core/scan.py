@@ -30,6 +30,8 @@ class LaserModel:
         Limits of a valid return [m]; ranges above ``NO_RETURN_FRACTION * range_max`` are missing returns.
     T_base_laser : (x, y, theta)
         Mounting: the laser in the robot's base frame [m, m, rad].
+    number : int
+        Which of the robot's lasers it is, from 0.
     """
 
     angle_min: float
@@ -38,6 +40,7 @@ class LaserModel:
     range_min: float
     range_max: float
     T_base_laser: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    number: int = 0
 
     def __post_init__(self) -> None:
         if self.n_beams < 1:

@@ -91,14 +91,16 @@ class ScanHistory(Sequence[ScanRecord]):
         SlammotError
             The disk is full.
         """
-        if not self._lasers or self._lasers[-1] is not scan.laser:
+        # of several lasers, each is among the latest few
+        laser = next((k for k, x in enumerate(self._lasers[-1:-9:-1], start=1) if x is scan.laser), 0)
+        laser = len(self._lasers) - laser
+        if laser == len(self._lasers):
             self._lasers.append(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
         _kernels.pack_masks(is_valid, is_moving, reason, masks)
         for beams in displaced:
             masks[beams] |= 8
         cov = cov_relative.ravel().tolist()
-        laser = len(self._lasers) - 1
         n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
         packed = b"".join(

@@ -129,7 +129,8 @@ class ScanToMap:
             insertion.start_component(propagation.path_m)
         state, T_odom_base = propagation.state, propagation.T_odom_base
         node, closures = None, tuple[ClosureAttempt, ...]()
-        is_keyframe = len(self.graph) == 0 or (has_points and self.local_map.wants(state.T_local_base))
+        wants = self.local_map.wants(state.T_local_base, scan.laser.number)
+        is_keyframe = len(self.graph) == 0 or (has_points and wants)
         if is_keyframe:
             insertion.advance(state, T_odom_base, self._match)
             propagation.start_keyframe()

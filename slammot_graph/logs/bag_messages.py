@@ -27,11 +27,13 @@ class BagMessage(NamedTuple):
         When it was recorded [s].
     content : object or None
         The message as rosbags decodes it; None where it cannot be decoded.
+    topic : str
     """
 
     number: int
     bag_stamp: float
     content: Any
+    topic: str = ""
 
 
 class Bag:
@@ -78,7 +80,7 @@ class Bag:
                     return
                 connection, _, raw = record
                 number += 1
-                yield BagMessage(number, bag_stamp, self._decode(raw, connection.msgtype))
+                yield BagMessage(number, bag_stamp, self._decode(raw, connection.msgtype), connection.topic)
 
     def _stop(self, first_seconds: float | None) -> int | None:
         """Where the bag's first seconds end [ns]; None for all of it."""

@@ -75,6 +75,8 @@ class Keyframe:
         Static points and their normals towards the laser, base frame; a normal of (0, 0) on no line.
     laser_base : (2,) array
         Where the laser was, base frame; of a sweep, in the mean.
+    laser : int
+        Which laser.
     """
 
     node: int
@@ -82,6 +84,7 @@ class Keyframe:
     points_base: FloatArray
     normals_base: FloatArray
     laser_base: FloatArray
+    laser: int = 0
 
 
 def make_keyframe(
@@ -118,6 +121,7 @@ def make_keyframe(
         points_base=points_base[is_static],
         normals_base=normals[is_static],
         laser_base=laser_base,
+        laser=laser.number,
     )
 
 
@@ -157,17 +161,29 @@ class LocalMap:
         self.T_local_keyframes = np.empty((0, 3))
         self.keyframe_roots = np.empty((0, 3, 3))
         self.first = self.end = 0
+        self._n_lasers = 1
+
+    @property
+    def max_keyframes(self) -> int:
+        """Keyframes of a full local map: those of each laser cover the same distance, however many lasers there are."""
+        return self._n_lasers * self.config.max_keyframes
+
+    @property
+    def n_overlap(self) -> int:
+        """Keyframes with which the next one starts."""
+        return self._n_lasers * self.config.n_overlap
 
     @property
     def anchor(self) -> Keyframe:
         """The keyframe that the local map is attached to."""
         return self.keyframes[0]
 
-    def wants(self, T_local_base: FloatArray) -> bool:
-        """Tell whether the robot has moved enough since the last keyframe, or there is none."""
-        if not self.keyframes:
+    def wants(self, T_local_base: FloatArray, laser: int = 0) -> bool:
+        """Tell whether the robot has moved enough since the last keyframe of this laser, or there is none."""
+        last = next((keyframe for keyframe in reversed(self.keyframes) if keyframe.laser == laser), None)
+        if last is None:
             return True
-        distance_m, turn_rad = se2.distance(self.keyframes[-1].T_local_base, T_local_base)
+        distance_m, turn_rad = se2.distance(last.T_local_base, T_local_base)
         return distance_m > self.config.keyframe_distance_m or turn_rad > self.config.keyframe_rotation_rad
 
     def add(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> tuple[Keyframe, ...]:
@@ -178,10 +194,11 @@ class LocalMap:
         """
         self.keyframes.append(keyframe)
         self._insert(keyframe, cov_anchor)
-        if len(self.keyframes) < self.config.max_keyframes:
+        if len(self.keyframes) < self.max_keyframes:
             return ()
         finished = tuple(self.keyframes)
-        self.start(self.keyframes[-self.config.n_overlap :])
+        self.start(self.keyframes[-self.n_overlap :])
+        self._n_lasers = max(self._n_lasers, len({keyframe.laser for keyframe in finished}))
         return finished
 
     def start(self, keyframes: list[Keyframe]) -> None:

@@ -7,6 +7,7 @@ no robot can make since the scan before is never used.
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -103,13 +104,13 @@ class AdaptiveOdometry:
         self._scan_s = 0.0
         self._history = OdometryHistory()
         self._record = _Record()
-        self._T_local_before: FloatArray | None = None
-        self._match_before: tuple[float, MatchedPose] | None = None
+        self._located: dict[int, _Located] = {}
+        self._match_before: dict[int, tuple[float, MatchedPose]] = {}
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
-        history, record = self._history, self._record
-        history.advance(scan.stamp, scan.T_odom_base, scan.odometry)
+        history, record, laser = self._history, self._record, scan.laser.number
+        history.advance(scan.stamp, scan.T_odom_base, scan.odometry, laser)
         before, self._scan_before = self._scan_before, scan
         start_s, self._scan_s = self._scan_s, history.clock.now_s
         if before is None:
@@ -118,8 +119,15 @@ class AdaptiveOdometry:
         told = None
         if scan.T_odom_base is not None and before.T_odom_base is not None:
             told = self._by_odometry(start_s, self._scan_s)
-        record.start_scan(told, self.previous.increment(step_s))
-        is_possible = told is None or not history.clock.is_steady or self._is_possible(told)
+        told_own = told
+        if before.laser.number != laser:  # the motion since the same laser's scan before is what is judged
+            told_own, own = None, self._located.get(laser)
+            if own is not None and own.has_odometry and scan.T_odom_base is not None:
+                told_own = self._by_odometry(own.time_s, self._scan_s)
+        record.start_scan(told_own, self.previous.increment(step_s))
+        if before.laser.number != laser:
+            step_s = max(self._scan_s - start_s, 0.0)
+        is_possible = told_own is None or not history.clock.is_steady or self._is_possible(told_own)
         if told is not None and is_possible and self.source == "odometry":
             motion = told
         else:
@@ -157,12 +165,17 @@ class AdaptiveOdometry:
             self.source = "previous motion"  # nothing explains the scan where the odometry leads
         if match is None:
             self.previous.miss()
-        elif self._T_local_before is not None:
-            self._learn(self._T_local_before, match)
-            if match.is_reliable and self._match_before is not None:
-                self._calibrate(self._match_before, (now_s, match))
-        self._T_local_before = T_local_base
-        self._match_before = (now_s, match) if match is not None and match.is_reliable else None
+        scan = self._scan_before
+        laser = 0 if scan is None else scan.laser.number
+        matched_before = self._match_before.pop(laser, None)
+        if match is not None and laser in self._located:
+            self._learn(self._located[laser].T_local_base, match)
+            if match.is_reliable and matched_before is not None:
+                self._calibrate(matched_before, (now_s, match))
+        has_odometry = scan is not None and scan.T_odom_base is not None
+        self._located[laser] = _Located(now_s, T_local_base, has_odometry)
+        if match is not None and match.is_reliable:
+            self._match_before[laser] = (now_s, match)
 
     @property
     def is_contradicted(self) -> bool:
@@ -274,8 +287,9 @@ class AdaptiveOdometry:
         cov = before[1].cov_independent + after[1].cov_independent
         xx, _, _, _, yy, _, _, _, variance_rad2 = cov.ravel().tolist()
         variances = 0.5 * (xx + yy), variance_rad2
+        laser = 0 if self._scan_before is None else self._scan_before.laser.number
         self.calibration.add(
-            (before[0], after[0]), increment, variances, after[1].T_local_base, self._history
+            (before[0], after[0]), increment, variances, after[1].T_local_base, self._history, laser
         )
 
 
@@ -286,6 +300,14 @@ def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:
     cov[2, :] = cov[:, 2] = 0.0
     cov[2, 2] = std_rad * std_rad
     return Motion(increment=increment, cov=cov)
+
+
+class _Located(NamedTuple):
+    """The latest scan of a laser: its time [s], where the base was found (3,), and whether it had odometry."""
+
+    time_s: float
+    T_local_base: FloatArray
+    has_odometry: bool
 
 
 class _Record:

@@ -46,6 +46,17 @@ class ScanClock:
         self._was_usual = False
         self._usual_s = math.nan
         self._stamp = math.nan
+        self._has_start = False
+
+    @property
+    def is_started(self) -> bool:
+        """Whether there was a scan."""
+        return not math.isnan(self._stamp)
+
+    def start(self, first_stamp: float, stamp: float) -> None:
+        """Count from another clock's first stamp, until a first scan at `stamp`."""
+        self.first_stamp, self.now_s = first_stamp, max(stamp - first_stamp, 0.0)
+        self._has_start = True
 
     def advance(self, stamp: float, *, has_track: bool = False) -> None:
         """Move on to the next scan; where the log gives the odometry's own samples, long gaps count too."""
@@ -59,7 +70,7 @@ class ScanClock:
             gain = 1.0 if math.isnan(self._usual_s) else USUAL_GAIN
             self._usual_s = usual_s + gain * (min(step_s, MAX_STEP_RATIO * usual_s) - usual_s)
         if math.isnan(self._stamp):
-            self.first_stamp = stamp
+            self.first_stamp = self.first_stamp if self._has_start else stamp
         else:
             self.now_s += step_s if self.is_regular else usual_s
         self._stamp = stamp
@@ -76,12 +87,14 @@ class OdometryHistory:
     Attributes
     ----------
     clock : ScanClock
+        Of the laser that took the latest scan: scans of several lasers may come at any time after each other.
     """
 
     N_KEPT = 4096
 
     def __init__(self) -> None:
         self.clock = ScanClock()
+        self._clocks = {0: self.clock}
         self._track: OdometryTrack | None = None
         self._timed_track: OdometryTrack | None = None
         self._track_times: FloatArray = np.zeros(0)
@@ -89,7 +102,9 @@ class OdometryHistory:
         self._poses = np.zeros((2 * self.N_KEPT, 3))
         self._n = 0
 
-    def advance(self, stamp: float, T_odom_base: FloatArray | None, track: OdometryTrack | None) -> None:
+    def advance(
+        self, stamp: float, T_odom_base: FloatArray | None, track: OdometryTrack | None, laser: int = 0
+    ) -> None:
         """Move on to the next scan.
 
         Parameters
@@ -99,7 +114,10 @@ class OdometryHistory:
             Its odometry; None leaves a gap.
         track : OdometryTrack or None
             The odometry of the whole log, on the clock of the stamps.
+        laser : int
+            Which laser took the scan.
         """
+        self.clock = self._clock_of(stamp, laser)
         self.clock.advance(stamp, has_track=track is not None)
         self._track = track
         if T_odom_base is None:
@@ -112,9 +130,22 @@ class OdometryHistory:
         if self._n:
             before = float(self._poses[self._n - 1, 2])
             theta = before + math.remainder(theta - before, 2.0 * math.pi)
-        self._times[self._n] = self.clock.now_s
+        now_s = self.clock.now_s
+        if self._n and len(self._clocks) > 1:
+            now_s = max(now_s, float(self._times[self._n - 1]))
+        self._times[self._n] = now_s
         self._poses[self._n] = x, y, theta
         self._n += 1
+
+    def _clock_of(self, stamp: float, laser: int) -> ScanClock:
+        """The clock of a laser; that of one not seen before starts where those of the others are."""
+        clock = self._clocks.get(laser)
+        if clock is None:
+            clock = ScanClock()
+            if self.clock.is_started:
+                clock.start(self.clock.first_stamp, stamp)
+            self._clocks[laser] = clock
+        return clock
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """(n, 3) poses at times (n,) of the clock; beyond the latest one known the latest motion goes on.

@@ -41,6 +41,7 @@ def write_points(path: Path, result: RunResult) -> None:
         is_moving=result.is_moving,
         is_moving_online=result.is_moving_online,
         p_moving=np.asarray(result.p_moving, dtype=np.float16),
+        laser=np.zeros(len(result.stamps), dtype=np.int64) if result.laser is None else result.laser,
     )
 
 

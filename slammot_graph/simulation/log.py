@@ -19,7 +19,6 @@ class SimulatedLog:
     ----------
     path : Path
         Name of the scenario, for messages.
-    laser : LaserModel
     stamps : (n,) array [s]
     ranges : (n, beams) array [m]
     T_odom_base : (n, 3) array
@@ -34,6 +33,8 @@ class SimulatedLog:
         x, y [m], vx, vy [m/s] in the world; NaN while away.
     time_increment_s : float
         Time between beams [s]; 0: all at the stamp.
+    lasers : tuple of LaserModel
+        Who took the scans in turn; `laser` is the first one.
     """
 
     def __init__(
@@ -49,9 +50,10 @@ class SimulatedLog:
         object_id: IntArray,
         objects: FloatArray,
         time_increment_s: float = 0.0,
+        lasers: tuple[LaserModel, ...] = (),
     ) -> None:
         self.path = Path(name)
-        self.laser = laser
+        self.lasers = lasers or (laser,)
         self.stamps = stamps
         self.ranges = ranges
         self.T_odom_base = T_odom_base
@@ -68,6 +70,11 @@ class SimulatedLog:
         """Scans in the log."""
         return len(self.stamps)
 
+    @property
+    def laser(self) -> LaserModel:
+        """The first laser."""
+        return self.lasers[0]
+
     def __iter__(self) -> Iterator[Scan]:
         beam_times = None
         if self.time_increment_s:
@@ -79,7 +86,7 @@ class SimulatedLog:
                 index=k,
                 stamp=float(self.stamps[k]),
                 ranges=self.ranges[k],
-                laser=self.laser,
+                laser=self.lasers[k % len(self.lasers)],
                 T_odom_base=self.T_odom_base[k] if has_odometry[k] else None,
                 truth=ScanTruth(
                     T_world_base=self.T_world_base[k],
@@ -104,6 +111,7 @@ class SimulatedLog:
             object_id=self.object_id,
             objects=self.objects,
             time_increment_s=self.time_increment_s,
+            lasers=self.lasers,
         )
 
     def arrays(self) -> dict[str, Any]:
@@ -122,6 +130,16 @@ class SimulatedLog:
             "is_moving": self.is_moving,
             "object_id": self.object_id,
             "objects": self.objects,
+            **self._laser_arrays(),
+        }
+
+    def _laser_arrays(self) -> dict[str, Any]:
+        """What tells of several lasers; nothing of one."""
+        if len(self.lasers) == 1:
+            return {}
+        return {
+            "laser": np.arange(self.n_scans) % len(self.lasers),
+            "laser_poses": np.array([laser.T_base_laser for laser in self.lasers]),
         }
 
     def write(self, path: str | Path) -> None:

@@ -40,6 +40,9 @@ class Scenario:
         Share of the time between scans in which the beams are sent out one after the other; 0: snapshots.
     drive, odometry, people
         Configuration of the parts.
+    mountings : tuple of (x, y, theta)
+        Of several lasers of the same kind on the base [m, m, rad], who scan in turn at even intervals; empty: one, as
+        it is mounted.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Scenario:
     drive: DriveConfig = field(default_factory=DriveConfig)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     people: PeopleConfig = field(default_factory=PeopleConfig)
+    mountings: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.n_people < 0:
@@ -86,6 +90,12 @@ SCENARIOS: dict[str, Scenario] = {
             sweep=1.0,
             n_people=2,
             drive=turning(1.5),
+        ),
+        Scenario(
+            name="two-lasers",
+            world="hall",
+            n_people=6,
+            mountings=((0.25, 0.0, 0.0), (-0.25, 0.0, np.pi)),
         ),
     )
 }
@@ -143,7 +153,8 @@ def simulate(
     world = world_named(chosen.world)
     scanner = replace(laser_named(chosen.laser).at_rate(chosen.rate_hz), sweep=chosen.sweep)
     streams = np.random.default_rng(seed).spawn(4)
-    period_s = 1.0 / scanner.rate_hz
+    n_lasers = max(len(chosen.mountings), 1)
+    period_s = 1.0 / (n_lasers * scanner.rate_hz)
     route = _laps(world.route, chosen.n_laps)
     n_dense = poses_per_period(period_s) if chosen.sweep else 1
     dense = drive(route, chosen.drive, period_s, streams[0], is_dense=chosen.sweep > 0.0)
@@ -156,14 +167,25 @@ def simulate(
     if chosen.sweep:
         seen_from = beam_poses(dense, period_s / n_dense, stamps, scanner.beam_times)
         shapes, person = circles_during_sweeps(objects, stamps, scanner.beam_times, chosen.people)
-    ranges, hits = measure(seen_from, scanner, world.segments, shapes, streams[3])
+    scanners = [
+        replace(scanner, model=replace(scanner.model, T_base_laser=pose, number=number))
+        for number, pose in enumerate(chosen.mountings)
+    ] or [scanner]
+    ranges = np.empty((len(stamps), scanner.model.n_beams))
+    hits = np.empty(ranges.shape, dtype=np.int64)
+    for number, (one, rng) in enumerate(
+        zip(scanners, [streams[3], *streams[3].spawn(n_lasers - 1)], strict=True)
+    ):
+        own = slice(number, None, n_lasers)
+        ranges[own], hits[own] = measure(seen_from[own], one, world.segments, shapes[own], rng)
     is_moving = hits >= 0
     object_id = (
         np.where(is_moving, person[np.maximum(hits, 0)], -1) if len(person) else np.full_like(hits, -1)
     )
     return SimulatedLog(
         name=chosen.name,
-        laser=scanner.model,
+        laser=scanners[0].model,
+        lasers=tuple(one.model for one in scanners),
         stamps=stamps,
         ranges=ranges,
         T_odom_base=T_odom_base,

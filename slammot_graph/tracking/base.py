@@ -25,9 +25,11 @@ class Track:
         Where it was first seen [m].
     n_hits : int
     missed_s : float
-        Time since the last cluster.
+        Time since the last cluster in which a laser looked there.
     beams : (k,) int array
         Beams of the latest scan; empty when the track was only predicted.
+    unseen_s : float
+        Time since a laser last looked where the object should be; zero where there is one laser.
     """
 
     track_id: int
@@ -37,6 +39,7 @@ class Track:
     n_hits: int
     missed_s: float
     beams: IntArray
+    unseen_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +61,8 @@ class ScanView:
     ranges : (n,) array [m]
     is_valid, is_no_return : (n,) bool arrays
         Beams that hit something, and that hit nothing within the laser's reach; of the others nothing is known.
+    is_one_of_several : bool
+        Other lasers of the robot look elsewhere.
     """
 
     points: FloatArray
@@ -70,6 +75,7 @@ class ScanView:
     ranges: FloatArray
     is_valid: BoolArray
     is_no_return: BoolArray
+    is_one_of_several: bool = False
 
     @classmethod
     def of_scan(
@@ -202,3 +208,18 @@ def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[Trac
         )
         for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
     )
+
+
+EDGE_BEAMS = 2
+"""A cluster that reaches so near to the first or last beam of a scan may be cut off there."""
+
+EDGE_STD_M = 0.25
+"""How far the centre of what is seen of a person may be from his own, where the field of view cuts him."""
+
+
+def edge_covariances(beams: Sequence[IntArray], n_beams: int) -> FloatArray:
+    """(k, 2, 2) covariances [m^2] that clusters' centres have in addition where the field of view cuts them."""
+    is_cut = np.array(
+        [b.min() < EDGE_BEAMS or b.max() >= n_beams - EDGE_BEAMS for b in beams], dtype=np.float64
+    )
+    return np.asarray(EDGE_STD_M**2 * is_cut[:, None, None] * np.eye(2))
