@@ -3,7 +3,6 @@
 import math
 from array import array
 from collections.abc import Sequence
-from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -302,7 +301,7 @@ class Pipeline:
             range_fraction=self.config.range_fraction,
         )
         if len(self._lasers) > 1:
-            view = replace(view, is_one_of_several=True)
+            view = view.by_one_of_several()
         tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
         sightings = self.tracker.sightings
         if sightings is not None:

@@ -132,6 +132,11 @@ class ScanHistory(Sequence[ScanRecord]):
             return [self._unpack(place) for place in self._places[k]]
         return self._unpack(self._places[k])
 
+    @property
+    def n_lasers(self) -> int:
+        """Lasers of the robot that took them."""
+        return len({laser.number for laser in self._lasers})
+
     def __len__(self) -> int:
         return len(self._places)
 

@@ -1,7 +1,8 @@
 """What the pipeline asks of a tracker, and what it gets."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -108,6 +109,26 @@ class ScanView:
             is_no_return=scan.is_no_return(range_fraction=range_fraction),
         )
 
+    def by_one_of_several(self) -> "ScanView":
+        """The same by one of several lasers: who goes on into the view of another one is seen in part, at its edge.
+
+        Across the line of sight, the centre of a body this near to the edge of the field of view is less certain.
+        """
+        n = len(self.ranges)
+        view_rad = n * abs(self.angle_increment)
+        if n == 0 or view_rad > 2.0 * math.pi - 0.5 * abs(self.angle_increment):
+            return replace(self, is_one_of_several=True)
+        beams = np.arange(n)
+        to_edge_m = self.ranges * abs(self.angle_increment) * (np.minimum(beams, n - 1 - beams) + 0.5)
+        at_edge = np.flatnonzero((self.cluster >= 0) & (to_edge_m < EDGE_M))
+        if not len(at_edge):
+            return replace(self, is_one_of_several=True)
+        angles = self.T_local_laser[2] + self.angle_min + self.angle_increment * at_edge
+        x, y = -EDGE_STD_M * np.sin(angles), EDGE_STD_M * np.cos(angles)
+        packed_cov = self.packed_cov.copy()
+        packed_cov[at_edge] += np.column_stack([x * x, x * y, y * y])
+        return replace(self, packed_cov=packed_cov, is_one_of_several=True)
+
 
 def _seen_at_once(scan: Scan) -> tuple[FloatArray, float, FloatArray]:
     """Pose (3,) of the laser in the base, step between its beams [rad] and its ranges (n,) [m] at the stamp."""
@@ -212,6 +233,9 @@ def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[Trac
 
 EDGE_BEAMS = 2
 """A cluster that reaches so near to the first or last beam of a scan may be cut off there."""
+
+EDGE_M = 0.3
+"""Where the edge of the field of view is nearer than this to a part of a person, it may cut him."""
 
 EDGE_STD_M = 0.25
 """How far the centre of what is seen of a person may be from his own, where the field of view cuts him."""

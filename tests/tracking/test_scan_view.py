@@ -8,7 +8,7 @@ from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.tracking import _sight_kernels as sight
-from slammot_graph.tracking.base import ScanView
+from slammot_graph.tracking.base import EDGE_STD_M, ScanView
 
 N = 181
 LASER = LaserModel(
@@ -116,3 +116,51 @@ def test_a_scan_taken_at_once_is_seen_as_it_is() -> None:
     assert view.ranges is scan.ranges
     assert view.angle_increment == LASER.angle_increment
     np.testing.assert_array_equal(view.T_local_laser, se2.compose(T_LOCAL_BASE, np.array(LASER.T_base_laser)))
+
+
+@pytest.mark.parametrize("increment", [0.01, -0.01])
+def test_who_is_cut_by_the_edge_of_a_view_is_less_certain_across_the_line_of_sight(increment: float) -> None:
+    n = 201
+    angles = -increment * 100 + increment * np.arange(n)
+    ranges = np.full(n, 2.0)
+    cluster = np.where(np.isin(np.arange(n), [1, 2, 100, 199]), 0, -1)
+    view = ScanView(
+        points=ranges[:, None] * np.column_stack([np.cos(angles + 0.5), np.sin(angles + 0.5)]),
+        packed_cov=np.tile([1e-4, 0.0, 1e-4], (n, 1)),
+        cluster=cluster,
+        is_proven=cluster >= 0,
+        T_local_laser=np.array([0.0, 0.0, 0.5]),
+        angle_min=float(angles[0]),
+        angle_increment=increment,
+        ranges=ranges,
+        is_valid=np.full(n, True),
+        is_no_return=np.full(n, False),
+    )
+    partial = view.by_one_of_several()
+    assert partial.is_one_of_several
+    changed = np.flatnonzero((partial.packed_cov != view.packed_cov).any(axis=1))
+    assert changed.tolist() == [1, 2, 199]
+    for k in changed:
+        xx, xy, yy = partial.packed_cov[k]
+        cov = np.array([[xx, xy], [xy, yy]])
+        along = np.array([math.cos(angles[k] + 0.5), math.sin(angles[k] + 0.5)])
+        across = np.array([-along[1], along[0]])
+        assert along @ cov @ along == pytest.approx(1e-4)
+        assert across @ cov @ across == pytest.approx(1e-4 + EDGE_STD_M**2)
+
+
+def test_a_view_all_around_has_no_edge() -> None:
+    n = 360
+    view = ScanView(
+        points=np.zeros((n, 2)),
+        packed_cov=np.full((n, 3), 1e-4),
+        cluster=np.zeros(n, dtype=np.int64),
+        is_proven=np.full(n, True),
+        T_local_laser=np.zeros(3),
+        angle_min=-math.pi,
+        angle_increment=2.0 * math.pi / n,
+        ranges=np.ones(n),
+        is_valid=np.full(n, True),
+        is_no_return=np.full(n, False),
+    )
+    np.testing.assert_array_equal(view.by_one_of_several().packed_cov, view.packed_cov)
