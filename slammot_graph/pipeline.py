@@ -222,7 +222,12 @@ class Pipeline:
 
         stamps = np.array(self._history.stamps[:n])
         return render_final_map(
-            scan_at, stamps, poses[:n], grid=self.config.grid, config=self.config.final_map
+            scan_at,
+            stamps,
+            poses[:n],
+            grid=self.config.grid,
+            config=self.config.final_map,
+            lasers=np.array(self._history.laser_numbers[:n]),
         )
 
     def crop_test_grid(self, centre_map: FloatArray, half_side_m: float) -> tuple[GridMap, FloatArray]:

@@ -61,12 +61,15 @@ class ScanHistory(Sequence[ScanRecord]):
     Attributes
     ----------
     stamps : array of n floats [s]
+    laser_numbers : array of n ints
+        Which of the robot's lasers took each.
     """
 
     def __init__(self) -> None:
         self._lasers: list[LaserModel] = []
         self._places = array("q")
         self.stamps = array("d")
+        self.laser_numbers = array("q")
         self._file = SpooledTemporaryFile(max_size=MOST_IN_MEMORY)  # noqa: SIM115
         weakref.finalize(self, self._file.close)
         self._end = 0
@@ -118,6 +121,7 @@ class ScanHistory(Sequence[ScanRecord]):
             ) from error
         self._places.append(self._end)
         self.stamps.append(scan.stamp)
+        self.laser_numbers.append(scan.laser.number)
         self._end += len(packed)
 
     @overload
@@ -135,7 +139,7 @@ class ScanHistory(Sequence[ScanRecord]):
     @property
     def n_lasers(self) -> int:
         """Lasers of the robot that took them."""
-        return len({laser.number for laser in self._lasers})
+        return len(set(self.laser_numbers))
 
     def __len__(self) -> int:
         return len(self._places)

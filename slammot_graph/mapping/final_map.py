@@ -106,6 +106,7 @@ def render_final_map(
     *,
     grid: GridConfig,
     config: FinalMapConfig,
+    lasers: IntArray | None = None,
 ) -> GridMap:
     """Render the map of n scans.
 
@@ -118,6 +119,8 @@ def render_final_map(
         Final poses.
     grid : GridConfig
     config : FinalMapConfig
+    lasers : (n,) int array, optional
+        Which of several lasers took each scan: each has its own votes, for they see different things.
 
     Raises
     ------
@@ -126,7 +129,13 @@ def render_final_map(
     """
     n = len(stamps)
     tiled = TiledGrid(grid)
-    starts = viewpoints(stamps, T_map_base, config)
+    taken = list[tuple[int, float, float]]()
+    numbers = np.zeros(n, dtype=np.int64) if lasers is None else lasers
+    for number in np.unique(numbers).tolist():
+        own = np.flatnonzero(numbers == number)
+        starts = viewpoints(stamps[own], T_map_base[own], config)
+        taken += [(int(own[k]), free, hit) for k, free, hit in scan_weights(starts, len(own), config)]
+    taken.sort()
     reach = None
     if config.no_return is not None:
         looked_at = (
@@ -134,7 +143,7 @@ def render_final_map(
         )
         reach = reliable_ranges(map(scan_at, looked_at))
     under_robot = config.n_votes * tiled.window.l_pass
-    for number, (k, weight, hit_weight) in enumerate(scan_weights(starts, n, config)):
+    for number, (k, weight, hit_weight) in enumerate(taken):
         item, T = scan_at(k), T_map_base[k]
         laser = item.scan.laser
         points, is_beam = item.scan.points(T), item.is_valid

@@ -163,3 +163,36 @@ def test_a_sweep_is_mapped_from_where_each_beam_was_sent_out() -> None:
         is_same = np.abs(np.nan_to_num(p_at(grid, points), nan=0.5) - p) < 1e-6
         assert is_same.mean() > 0.98  # but for points on the edge of cells
     assert np.ptp(origins, axis=0).max() > 0.4
+
+
+def test_each_of_several_lasers_has_its_own_votes() -> None:
+    """Two lasers that stand and look opposite ways: each is as well mapped as by itself."""
+    front = take_scan(T, walls=ROOM)
+    n = len(front.ranges)
+    halves = [np.where(np.arange(n) < n // 2, front.ranges, np.nan), front.ranges.copy()]
+    halves[1][: n // 2] = np.nan
+    lasers = np.array([0, 0, 1] * 10)  # taken for one, all chosen scans may be of the first
+    ranges = [halves[k] for k in lasers]
+    scans = [replace(front, ranges=values) for values in ranges]
+    items = [MapScan(scan=s, is_valid=s.is_valid(), is_static=s.is_valid()) for s in scans]
+    poses, stamps = np.tile(T, (len(items), 1)), 0.1 * np.arange(float(len(items)))
+
+    def rendered(number: int | None) -> GridMap:
+        used = np.arange(len(items)) if number is None else np.flatnonzero(lasers == number)
+        return render_final_map(
+            lambda k: items[used[k]],
+            stamps[used],
+            poses[used],
+            grid=GridConfig(),
+            config=FinalMapConfig(path_m=0.0),
+            lasers=lasers[used],
+        )
+
+    both = rendered(None)
+    for number in (0, 1):
+        alone = rendered(number)
+        item = items[int(np.flatnonzero(lasers == number)[0])]
+        ends = item.scan.points(T)[item.is_valid]
+        p_both, p_alone = np.nan_to_num(p_at(both, ends)), np.nan_to_num(p_at(alone, ends))
+        assert (p_alone > 0.8).mean() > 0.5  # some walls lie on the edges of cells
+        assert (p_both >= p_alone - 1e-6).mean() > 0.95
