@@ -177,7 +177,7 @@ def test_each_of_several_lasers_has_its_own_votes() -> None:
     items = [MapScan(scan=s, is_valid=s.is_valid(), is_static=s.is_valid()) for s in scans]
     poses, stamps = np.tile(T, (len(items), 1)), 0.1 * np.arange(float(len(items)))
 
-    def rendered(number: int | None) -> GridMap:
+    def rendered(number: int | None, *, told: bool = True) -> GridMap:
         used = np.arange(len(items)) if number is None else np.flatnonzero(lasers == number)
         return render_final_map(
             lambda k: items[used[k]],
@@ -185,14 +185,17 @@ def test_each_of_several_lasers_has_its_own_votes() -> None:
             poses[used],
             grid=GridConfig(),
             config=FinalMapConfig(path_m=0.0),
-            lasers=lasers[used],
+            lasers=lasers[used] if told else None,
         )
 
-    both = rendered(None)
+    both, as_one = rendered(None), rendered(None, told=False)
+    n_less = 0
     for number in (0, 1):
         alone = rendered(number)
         item = items[int(np.flatnonzero(lasers == number)[0])]
         ends = item.scan.points(T)[item.is_valid]
         p_both, p_alone = np.nan_to_num(p_at(both, ends)), np.nan_to_num(p_at(alone, ends))
         assert (p_alone > 0.8).mean() > 0.5  # some walls lie on the edges of cells
-        assert (p_both >= p_alone - 1e-6).mean() > 0.95
+        assert (p_both >= p_alone - 1e-6).mean() > 0.75  # what one sees at a grazing angle the other frees
+        n_less += (np.nan_to_num(p_at(as_one, ends)) >= p_alone - 1e-6).mean() < 0.5
+    assert n_less
