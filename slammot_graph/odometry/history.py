@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.odometry_track import OdometryTrack
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.types import FloatArray, IntArray
 
 MAX_STEP_RATIO = 20.0
 """A step of the stamps that is no step forward, or longer than this many usual ones, tells nothing of time."""
@@ -19,6 +19,10 @@ USUAL_GAIN = 0.05
 
 FIRST_STEP_S = 0.1
 """Time between two scans as long as none is known [s]."""
+
+
+MOST_ACCELERATION: FloatArray = np.array([10.0, 10.0, 30.0])
+"""Velocities of the odometry that change by more [m/s^2, m/s^2, rad/s^2] are none of a robot."""
 
 
 class ScanClock:
@@ -79,6 +83,15 @@ class ScanClock:
         # a long step after one that cannot be right makes up for it; another one is a gap
         is_gap = self.is_regular and step_s >= USUAL_RATIO * usual_s and was_regular
         self.step_s = step_s if is_usual or is_gap else usual_s
+
+
+def _tangent(
+    own: FloatArray, before: FloatArray, before_s: FloatArray, after: FloatArray, after_s: FloatArray
+) -> FloatArray:
+    """(n, 3) velocities between two intervals (n, 1) [s] with their mean velocities; `own` where none is possible."""
+    between = (after_s * before + before_s * after) / (before_s + after_s)
+    change, most = np.abs(after - before), 0.5 * (before_s + after_s) * MOST_ACCELERATION
+    return np.where((change <= most).all(axis=1, keepdims=True), between, own)
 
 
 class OdometryHistory:
@@ -162,8 +175,11 @@ class OdometryHistory:
         return out
 
     def going_on(self, times_s: FloatArray) -> FloatArray:
-        """(n, 3) poses as of `at`, but beyond the latest one known at the latest velocity in the body frame."""
-        poses, ahead_s = self.at(np.minimum(times_s, self.end_s)), np.maximum(times_s - self.end_s, 0.0)
+        """(n, 3) poses at times (n,), between those known by a smooth motion (cubic Hermite).
+
+        Beyond the latest one known the latest velocity in the body frame goes on. Theta is unwrapped.
+        """
+        poses, ahead_s = self._between(np.minimum(times_s, self.end_s)), np.maximum(times_s - self.end_s, 0.0)
         times, known = self._samples()
         if len(times) < 2 or not ahead_s.any():
             return poses
@@ -171,6 +187,27 @@ class OdometryHistory:
         moved = se2.compose(poses, se2.exp(ahead_s[:, None] * velocity))
         moved[:, 2] = poses[:, 2] + ahead_s * velocity[2]
         return moved
+
+    def _between(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3) poses at times (n,), at velocities that change steadily where a robot's can; else at constant ones."""
+        times, poses = self._samples()
+        if len(times) < 3:
+            return self.at(times_s)
+        last = len(times) - 2
+        i = np.clip(np.searchsorted(times, times_s, side="right") - 1, 0, last)
+
+        def secant(k: IntArray) -> tuple[FloatArray, FloatArray]:
+            step_s = np.maximum(times[k + 1] - times[k], 1e-6)[:, None]
+            return (poses[k + 1] - poses[k]) / step_s, step_s
+
+        (before, before_s), (own, own_s), (after, after_s) = map(
+            secant, (np.maximum(i - 1, 0), i, np.minimum(i + 1, last))
+        )
+        start = _tangent(own, before, before_s, own, own_s)
+        end = _tangent(own, own, own_s, after, after_s)
+        u = np.clip((times_s - times[i])[:, None] / own_s, 0.0, 1.0)
+        bent: FloatArray = u * (1.0 - u) * own_s * ((1.0 - u) * (start - own) - u * (end - own))
+        return poses[i] + u * own_s * own + bent
 
     @property
     def end_s(self) -> float:
