@@ -42,3 +42,11 @@ def test_the_laser_alone_when_two_scan_a_few_milliseconds_apart() -> None:
     result = Run(alone, max_scans=400).complete()
     assert result.n_failed_matches <= 1  # the first scan of the rear meets no map
     assert absolute_error(result.T_map_base, log.T_world_base[:400]).translation_m.rmse < 0.03
+
+
+def test_two_lasers_that_sweep() -> None:
+    log = simulate(TWO, seed=4, n_people=0, sweep=1.0)
+    result = Run(log, max_scans=400).complete()
+    assert result.n_failed_matches <= 1
+    assert absolute_error(result.T_map_base, log.T_world_base[:400]).translation_m.rmse < 0.01
+    assert len(result.tracks) == 0

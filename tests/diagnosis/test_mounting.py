@@ -9,6 +9,7 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
+from slammot_graph.diagnosis.checking import check_log
 from slammot_graph.diagnosis.mounting import find_turn, with_found_mounting
 from slammot_graph.logs import open_log, source_of
 from slammot_graph.run import Run
@@ -103,3 +104,10 @@ def test_other_logs_stay_as_they_are(tmp_path: Path) -> None:
     assert with_found_mounting(placed) is placed
     alone = open_log(log.path, odometry=False)
     assert with_found_mounting(alone) is alone
+
+
+def test_check_looks_at_a_log_as_a_run_uses_it(tmp_path: Path) -> None:
+    report = check_log(open_log(bag(tmp_path, math.pi, is_upside_down=True)))
+    assert report.health.get("healthy", 0) > 0.9 * report.n_matched_scans
+    assert report.log.source["laser_pose_from"] == "the drive"
+    assert any("upside down" in x for x in report.log.warnings)

@@ -181,3 +181,20 @@ def test_what_a_user_can_get_wrong(tmp_path: Path) -> None:
         open_log(path, cloud_topic="/points", heights=(2.0, 3.0))
     with pytest.raises(InputError, match=r"no topic /cloud; --cloud-topic can be /points"):
         open_log(path, cloud_topic="/cloud", heights=SLICE)
+
+
+def test_beams_of_a_cloud_have_the_times_of_their_points(tmp_path: Path) -> None:
+    points = wall(720)
+    turn = np.mod(np.arctan2(points[:, 1], points[:, 0]) - 0.5, 2.0 * math.pi) / (2.0 * math.pi)
+    times = (0.1 * np.nan_to_num(turn)).astype(np.float32)  # the lidar's turn begins at 0.5 rad
+    sent = [cloud(10.0 + 0.1 * k, points, time=("t", times)) for k in range(3)]
+    tf = bf.transform(10.0, "base_link", "lidar", (0.0, 0.0, 0.0))
+    path = bf.write_bag(tmp_path, [*sent, tf])
+    scan = next(iter(open_log(path, cloud_topic="/points", heights=(0.1, 0.3))))
+    assert scan.beam_times is not None
+    expected = 0.1 * np.mod(scan.laser.angles_base - 0.5, 2.0 * math.pi) / (2.0 * math.pi)
+    np.testing.assert_allclose(scan.beam_times, expected, atol=1e-3)
+    (tmp_path / "untimed").mkdir()
+    untimed = bf.write_bag(tmp_path / "untimed", [cloud(10.0, points), cloud(10.1, points), tf])
+    scan = next(iter(open_log(untimed, cloud_topic="/points", heights=(0.1, 0.3))))
+    assert scan.beam_times is None
