@@ -10,6 +10,7 @@ from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
+from slammot_graph.mapping.tiled_grid import PartialMapError
 from slammot_graph.pipeline import Pipeline
 from slammot_graph.tracking.smoothing import SmoothedTracks
 
@@ -62,7 +63,17 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
         return pipeline.final_tracks(T_map_base[:n], labels) if isinstance(pipeline, Pipeline) else None
 
     tracks = attempt("final tracks", find_tracks, lambda: None)
-    grid = attempt("map", pipeline.render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
+
+    def render_map() -> GridMap:
+        if not isinstance(pipeline, Pipeline):
+            return pipeline.render_map()
+        try:
+            return pipeline.render_map(T_map_base[:n], labels)
+        except PartialMapError as error:
+            failures["map"] = error
+            return error.grid
+
+    grid = attempt("map", render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
 
     def find_moving() -> FloatArray:
         if isinstance(pipeline, Pipeline) and labels is not None:

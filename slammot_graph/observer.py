@@ -99,8 +99,8 @@ class RunView:
     def map(self) -> GridMap:
         """Render the map as it is now.
 
-        Costs an update of a grid per node of the graph, 0.2 ms each and more: ask rarely, and less often the longer the
-        run is, or let `Observer.wants_map` share one map among all observers.
+        Costs the optimised trajectory and three updates of a grid per viewpoint of the run, 0.1 ms each and more: ask
+        rarely, and less often the longer the run is, or let `Observer.wants_map` share one map among all observers.
         """
         if self._map is None:
             self._map = read_only(self._pipeline.render_map())

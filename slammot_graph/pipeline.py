@@ -2,6 +2,7 @@
 
 import math
 from array import array
+from collections.abc import Sequence
 from types import TracebackType
 
 import numpy as np
@@ -21,6 +22,7 @@ from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
+from slammot_graph.mapping.final_map import MapScan, render_final_map
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import ScanView, track_states
@@ -46,7 +48,7 @@ class Pipeline:
     tracker : Tracker
     health : HealthMonitor
     grid : OccupancyGrid or None
-        The map as it grows; None where it is made from the graph's nodes at the end.
+        The map as it grows; None where it is made from all scans at the end.
 
     Examples
     --------
@@ -63,10 +65,10 @@ class Pipeline:
         self.tracker = make_tracker(config.tracker)
         self.health = HealthMonitor()
         self._history = ScanHistory()
-        self._node_scans = array("q")
         self._sightings = SightingHistory()
         self._stamps = array("d")
         self._stopwatch = Stopwatch()
+        self._lasers: set[int] = set()
 
     def __enter__(self) -> "Pipeline":
         """Give the pipeline itself."""
@@ -84,19 +86,18 @@ class Pipeline:
         watch.restart()
         is_valid = scan.is_valid(self.config.max_range_m, self.config.range_fraction)
         predicted = self.localizer.predict(scan)
+        scan = self.localizer.deskew(scan)
         watch.lap("predict")
         predicted_positions = self.tracker.predicted_positions(scan.stamp)
         detection = self.detector.detect(scan, is_valid, predicted, predicted_positions)
         watch.lap("detect")
-        matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
+        scan, matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
         points = scan.points(matched.T_local_base)
         p_moving = self.detector.p_moving(scan, detection, points, predicted_positions)
         is_static = is_valid & ~detection.is_moving
         watch.lap("detect")
         committed = self.localizer.commit(scan, scan.points_base(), is_static)
         watch.lap("graph")
-        if committed.node is not None:
-            self._node_scans.append(len(self._history))
         if self.grid is not None:
             self.grid.add_scan(scan.index, scan, matched.T_local_base, points, is_valid, is_static)
         self.detector.update(
@@ -192,20 +193,42 @@ class Pipeline:
         """Give the trajectory and the graph of all scans so far, optimised."""
         return self.localizer.final()
 
-    def render_map(self) -> GridMap:
-        """Render the map: from the nodes' scans at their optimised poses where there is a graph."""
+    def render_map(
+        self, T_map_base: FloatArray | None = None, labels: Sequence[BoolArray] | None = None
+    ) -> GridMap:
+        """Render the map: where there is a graph from all scans, weighted by viewpoint (`mapping.final_map`).
+
+        Parameters
+        ----------
+        T_map_base : (n, 3) array, optional
+            Optimised poses of the scans so far; computed if not given.
+        labels : sequence of n bool arrays, optional
+            Which points move; by default as decided at the time.
+
+        Raises
+        ------
+        PartialMapError
+            Not all that was seen fits into one map.
+        """
         if self.grid is not None:
             return self.grid.to_map()
-        grid = OccupancyGrid(self.config.grid)
-        for number, T_map_base in zip(self._node_scans, self.nodes_and_edges()[0], strict=False):
-            if number == len(self._history):  # the scan at which a run was cut short
-                break
-            seen = self._history[number]
-            points = seen.scan.points(T_map_base)
-            grid.add_scan(
-                number, seen.scan, T_map_base, points, seen.is_valid, seen.is_valid & ~seen.is_moving
-            )
-        return grid.to_map()
+        poses = self.final().T_map_base if T_map_base is None else T_map_base
+        n = min(len(self._history), len(poses))  # a run may have been cut short within a scan
+
+        def scan_at(k: int) -> MapScan:
+            seen = self._history[k]
+            is_moving = seen.is_moving if labels is None else labels[k]
+            return MapScan(scan=seen.scan, is_valid=seen.is_valid, is_static=seen.is_valid & ~is_moving)
+
+        stamps = np.array(self._history.stamps[:n])
+        return render_final_map(
+            scan_at,
+            stamps,
+            poses[:n],
+            grid=self.config.grid,
+            config=self.config.final_map,
+            lasers=np.array(self._history.laser_numbers[:n]),
+        )
 
     def crop_test_grid(self, centre_map: FloatArray, half_side_m: float) -> tuple[GridMap, FloatArray]:
         """Give the test's grid as it is now around a place (2,) of the map [m]: as the next scan's test sees it.
@@ -226,26 +249,38 @@ class Pipeline:
 
     def _match(
         self, scan: Scan, is_valid: BoolArray, detection: Detection, predicted_positions: FloatArray
-    ) -> tuple[Estimate, MatchResult | None, Detection]:
+    ) -> tuple[Scan, Estimate, MatchResult | None, Detection]:
         """Match what does not move and test again at the matched pose; in a crowd, once more with a narrower kernel."""
-        points_base = scan.points_base()
-        matched, match = self.localizer.match(points_base, is_valid & ~detection.is_moving, is_valid=is_valid)
+        scan, matched, match = self._match_sweep(scan, is_valid, detection)
         self._stopwatch.lap("match")
         if match is None:
-            return matched, match, detection
+            return scan, matched, match, detection
         detection = self.detector.retest(scan, is_valid, detection, matched, match, predicted_positions)
         factor = self.detector.kernel_factor(detection, is_valid)
         if factor < 1.0:
             self._stopwatch.lap("detect")
-            matched, match = self.localizer.match(
-                points_base, is_valid & ~detection.is_moving, factor, is_valid
-            )
+            scan, matched, match = self._match_sweep(scan, is_valid, detection, factor)
             self._stopwatch.lap("match")
             if match is not None:
                 detection = self.detector.retest(
                     scan, is_valid, detection, matched, match, predicted_positions
                 )
-        return matched, match, detection
+        return scan, matched, match, detection
+
+    def _match_sweep(
+        self, scan: Scan, is_valid: BoolArray, detection: Detection, kernel_factor: float = 1.0
+    ) -> tuple[Scan, Estimate, MatchResult | None]:
+        """Match a scan; a sweep again and again, as each match tells how to deskew it better."""
+        localizer, is_static = self.localizer, is_valid & ~detection.is_moving
+        matched, match = localizer.match(
+            scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid
+        )
+        if scan.sweep is None:
+            return scan, matched, match
+        while (deskewed := localizer.deskew_again(scan, is_static)) is not None:
+            scan = deskewed
+            localizer.match(scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid)
+        return localizer.join_sweep(scan)
 
     def _track(
         self,
@@ -257,6 +292,7 @@ class Pipeline:
     ) -> tuple[TrackState, ...]:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
         self._stamps.append(scan.stamp)
+        self._lasers.add(scan.laser.number)
         if not detection.n_clusters and not self.tracker.tracks:
             return ()
         view = ScanView.of_scan(
@@ -269,6 +305,8 @@ class Pipeline:
             is_valid=is_valid,
             range_fraction=self.config.range_fraction,
         )
+        if len(self._lasers) > 1:
+            view = view.by_one_of_several()
         tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
         sightings = self.tracker.sightings
         if sightings is not None:
@@ -283,7 +321,7 @@ class Pipeline:
         matched: Estimate,
         match: MatchResult | None,
     ) -> None:
-        """Keep what the final labels and the map of the nodes' scans need."""
+        """Keep what the final labels and the map need."""
         if not (self.detector.has_backward_pass or self.grid is None):
             return
         self._history.append(

@@ -9,11 +9,16 @@ from slammot_graph.core.scan import NO_RETURN_FRACTION
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.mapping.final_map import FinalMapConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
+
+MOST_RANGE_M = 1000.0
+MOST_CELLS_A_SIDE = 8192
+"""Of the square around the robot that the laser reaches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +34,8 @@ class PipelineConfig(Checked):
         R_r of the odometry factors and of the prediction: growing with the motion, or constant as in the paper.
     grid : GridConfig
         Of the map.
+    final_map : FinalMapConfig
+        How the scans are weighted in the map, where there is a pose graph.
     max_range_m : float
         Farther returns are left aside.
     range_fraction : float
@@ -44,15 +51,25 @@ class PipelineConfig(Checked):
     )
     odometry_noise: OdometryNoise | ConstantNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
+    final_map: FinalMapConfig = field(default_factory=FinalMapConfig)
     max_range_m: Positive = 40.0
     range_fraction: PositiveShare = NO_RETURN_FRACTION
 
     def __post_init__(self) -> None:
         """See `Checked`."""
         super().__post_init__()
+        self.require(
+            self.max_range_m <= MOST_RANGE_M,
+            f"must be at most {MOST_RANGE_M:g} m, which no such laser reaches, not {self.max_range_m:g}",
+            key="max_range_m",
+        )
+        self._require_memory("grid", self.grid, 0.0)
         if not isinstance(self.detector, EllipseDetectorConfig):
             return
         has_local_grid = self.detector.local_grid is not None
+        if self.detector.local_grid is not None:
+            local = self.detector.local_grid
+            self._require_memory("detector.local_grid", local, local.window_margin_m)
         has_constant_noise = isinstance(self.detector.test_covariance, ConstantNoise)
         name = type(self.localizer).__name__
         self.require(
@@ -69,6 +86,16 @@ class PipelineConfig(Checked):
             self.has_graph or has_constant_noise,
             f"must be a table of constant noise: {name} has no pose graph",
             key="detector.test_covariance",
+        )
+
+    def _require_memory(self, key: str, grid: GridConfig, margin_m: float) -> None:
+        """Refuse cells so small that those in the reach of the laser take more than half a gigabyte."""
+        side_m = 2.0 * self.max_range_m + margin_m
+        self.require(
+            side_m <= MOST_CELLS_A_SIDE * grid.resolution_m,
+            f"must be at least {side_m / MOST_CELLS_A_SIDE:.3g} m for a max_range_m of {self.max_range_m:g} m, not"
+            f" {grid.resolution_m:g}; take larger cells or a smaller max_range_m",
+            key=f"{key}.resolution_m",
         )
 
     @property

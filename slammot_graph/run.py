@@ -19,7 +19,7 @@ from slammot_graph.core.events import Event
 from slammot_graph.core.results import Health, RunResult, StepResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.diagnosis import RunStatistics, diagnose, limits_of
+from slammot_graph.diagnosis import RunStatistics, as_mounted, diagnose, limits_of
 from slammot_graph.localization import FinalEstimate
 from slammot_graph.logs import describe
 from slammot_graph.logs.source import SkippedScan
@@ -49,7 +49,8 @@ class Run:
     Parameters
     ----------
     log : iterable of Scan
-        A `LaserLog`, or any other source of scans; a live one need not know its length and is not read twice.
+        A `LaserLog`, or any other source of scans; a live one need not know its length and is not read twice. Where
+        the mounting of a recorded laser is only assumed, and for the robot's own body, its beginning is read before.
     method : str
         A name of the method registry.
     config : PipelineConfig or KissIcpConfig, optional
@@ -81,7 +82,7 @@ class Run:
     ) -> None:
         if max_scans is not None and max_scans < 1:
             raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
-        self.log = log
+        self.log: Iterable[Scan] = as_mounted(log)
         self.method = method
         self.config = config if config is not None else get_method(method).config
         if max_range_m is not None:
@@ -262,6 +263,7 @@ class Run:
             health=np.array([scan.health for scan in scans], dtype="<U13"),
             odometry=report,
             verdict=diagnose(session.statistics, report, log.warnings),
+            laser=np.array([scan.laser for scan in scans], dtype=np.int64),
         )
 
 
@@ -284,6 +286,7 @@ class _KeptScan:
     T_anchor_base: FloatArray
     cov_anchor_base: FloatArray
     health: Health
+    laser: int
 
 
 class _Kept:
@@ -321,6 +324,7 @@ class _Kept:
                 T_anchor_base=step.T_anchor_base,
                 cov_anchor_base=step.cov_anchor_base,
                 health=step.health,
+                laser=step.scan.laser.number,
             )
         )
         self.n_failed += step.match is not None and step.match.status == "failed"

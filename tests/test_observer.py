@@ -108,10 +108,10 @@ def test_a_map_is_rendered_only_where_an_observer_wants_it_and_once_for_all(
 ) -> None:
     n_maps = 0
 
-    def render(pipeline: Pipeline) -> GridMap:
+    def render(pipeline: Pipeline, *given: Any) -> GridMap:
         nonlocal n_maps
         n_maps += 1
-        return render_map(pipeline)
+        return render_map(pipeline, *given)
 
     render_map = Pipeline.render_map
     monkeypatch.setattr(Pipeline, "render_map", render)

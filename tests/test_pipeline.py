@@ -188,9 +188,9 @@ def test_moving_points_are_left_out_of_the_match_and_of_the_occupied_cells(
     assert pipeline.detector.grid is not None
     match, update = pipeline.localizer.match, pipeline.detector.grid.update
 
-    def spy_match(points: FloatArray, is_static: BoolArray, *, is_valid: BoolArray) -> object:
+    def spy_match(points: FloatArray, is_static: BoolArray, **rest: Any) -> object:
         matched_masks.append(is_static)
-        return match(points, is_static, is_valid=is_valid)
+        return match(points, is_static, **rest)
 
     def spy_update(
         now: int, origin: FloatArray, ends: FloatArray, is_beam: BoolArray, is_hit: BoolArray, *others: Any

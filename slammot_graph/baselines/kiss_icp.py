@@ -75,6 +75,7 @@ class KissIcpPipeline:
         self.config = config
         self._icp = _make_kiss_icp(config)
         self.grid = OccupancyGrid(config.grid)
+        self._stamp_before = np.nan
         self._T_odom_base: FloatArray | None = None
         self._T_odom_registered: FloatArray | None = None
         self._T_map_base: FloatArray = se2.IDENTITY
@@ -92,12 +93,22 @@ class KissIcpPipeline:
         if self.config.use_odometry and scan.T_odom_base is not None and self._T_odom_registered is not None:
             self._icp.last_delta = _to_matrix(se2.between(self._T_odom_registered, scan.T_odom_base))
         start = time.perf_counter()
+        sweep_share = self._sweep_share(scan)
+        times = np.zeros(0)
+        if scan.beam_times is not None and sweep_share:
+            # of the motion since the scan before, up to now
+            times = (scan.beam_times[is_valid] - scan.beam_times.max()) / np.ptp(scan.beam_times)
+            times = 1.0 + sweep_share * times
         if len(frame):
-            self._icp.register_frame(frame, np.zeros(0))
+            self._icp.register_frame(frame, times)
         register_ms = 1e3 * (time.perf_counter() - start)
         before, self._T_map_base = self._T_map_base, predicted
         if len(frame):
             self._T_map_base = _from_matrix(np.asarray(self._icp.last_pose, dtype=np.float64))
+            if sweep_share:  # it places the end of a sweep
+                delta = _from_matrix(np.asarray(self._icp.last_delta, dtype=np.float64))
+                back = se2.exp(-sweep_share * se2.log(delta))
+                self._T_map_base = se2.compose(self._T_map_base, back)
             self._T_odom_registered = scan.T_odom_base
         moved = se2.between(before, self._T_map_base)
         cov = self.config.odometry_noise.covariance(moved)
@@ -129,6 +140,16 @@ class KissIcpPipeline:
             events=(),
             stage_ms={"step": register_ms},
         )
+
+    def _sweep_share(self, scan: Scan) -> float:
+        """Duration of the sweep over the time since the scan before; 0 where it is not deskewed."""
+        step_s = scan.stamp - self._stamp_before
+        self._stamp_before = scan.stamp
+        if scan.beam_times is None or not step_s > 0.0:
+            return 0.0
+        if not self._icp.config.data.deskew:
+            self._icp = _deskewing(self._icp)
+        return min(float(np.ptp(scan.beam_times)) / step_s, 1.0)
 
     def _increment(self, scan: Scan) -> FloatArray:
         """(3,) motion since the scan before: by odometry, else the last one of kiss-icp."""
@@ -189,6 +210,15 @@ def _make_kiss_icp(config: KissIcpConfig) -> Any:
         return voxel_down_sample(frame, config.match_spacing_m), for_map
 
     icp.voxelize = voxelize
+    return icp
+
+
+def _deskewing(icp: Any) -> Any:
+    """Let kiss-icp deskew the scans from now on, as it does where a driver gives the points' times."""
+    from kiss_icp.preprocess import get_preprocessor
+
+    icp.config.data.deskew = True
+    icp.preprocessor = get_preprocessor(icp.config)
     return icp
 
 

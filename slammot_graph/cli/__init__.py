@@ -32,6 +32,9 @@ from slammot_graph.core.errors import SlammotError
 
 __all__ = ["main"]
 
+TRACEBACK_VARIABLE = "SLAMMOT_TRACEBACK"
+"""With this set in the environment an unexpected exception is shown with its traceback."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
@@ -57,12 +60,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_USER_ERROR
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return complain(f"{place}{error.strerror or error}")
+    except Exception as error:
+        if os.environ.get(TRACEBACK_VARIABLE):
+            raise
+        return complain(_told(error))
     except KeyboardInterrupt:
         stderr().print("interrupted")
         return EXIT_INTERRUPTED
+
+
+def _told(error: Exception) -> str:
+    """Say in one line what went wrong that no part of the program foresaw."""
+    if isinstance(error, OSError):
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror or error}"
+    text = " ".join(str(error).split())[:300]
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({text}); take a coarser grid, a shorter log or another machine"
+    return (
+        f"unexpected {type(error).__name__}: {text}; a fault of this program: please report it with what"
+        f" {TRACEBACK_VARIABLE}=1 shows"
+    )
 
 
 def _obey(words: list[str]) -> int:

@@ -18,7 +18,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose, OdometrySwitch, prepare_file
+from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +37,9 @@ def calibrate_command(
     output: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "graph",
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
+    cloud_topic: CloudTopic = None,
+    heights: Slice = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -58,7 +60,11 @@ def calibrate_command(
     max_scans
         Take the log's first ones only.
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
+    cloud_topic
+        Clouds (PointCloud2) of a bag, to make scans of.
+    heights
+        Heights above the base between which a cloud is cut into a scan [m].
     odom_topic
         Which odometry of a bag.
     imu_topic
@@ -82,6 +88,8 @@ def calibrate_command(
     opened = open_log(
         log,
         scan_topic=scan_topic,
+        cloud_topic=cloud_topic,
+        heights=heights,
         odom_topic=odom_topic,
         imu_topic=imu_topic,
         odom_frame=odom_frame,

@@ -19,7 +19,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import LaserPose
+from slammot_graph.cli.files import CloudTopic, LaserPose, ScanTopics, Slice
 from slammot_graph.core.strict_json import strict_json
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ def check_command(
     /,
     *,
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
+    cloud_topic: CloudTopic = None,
+    heights: Slice = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     laser_pose: LaserPose = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -50,7 +52,11 @@ def check_command(
     max_range
         Leave aside what is farther [m].
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
+    cloud_topic
+        Clouds (PointCloud2) of a bag, to make scans of.
+    heights
+        Heights above the base between which a cloud is cut into a scan [m].
     odom_topic
         Which odometry of a bag.
     laser_pose
@@ -61,13 +67,20 @@ def check_command(
     from slammot_graph.diagnosis import check_log
     from slammot_graph.logs import open_log
 
-    opened = open_log(log, scan_topic=scan_topic, odom_topic=odom_topic, laser_pose=laser_pose)
+    opened = open_log(
+        log,
+        scan_topic=scan_topic,
+        cloud_topic=cloud_topic,
+        heights=heights,
+        odom_topic=odom_topic,
+        laser_pose=laser_pose,
+    )
     with progress(f"check of {log.name}", opened.n_scans, "scans", passed_over=opened.skipped) as show:
         report = check_log(opened, max_range_m=None if math.isinf(max_range) else max_range, show=show)
     if as_json:
         stdout().print(json.dumps(strict_json(_plain(report)), indent=2, ensure_ascii=False), soft_wrap=True)
     else:
-        warn(opened)
+        warn(opened, report.log.warnings)
         stdout().print(_table(opened, report))
     has_error = any(finding.severity == "error" for finding in report.verdict)
     return EXIT_FOUND if has_error else EXIT_OK

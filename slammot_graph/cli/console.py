@@ -8,7 +8,7 @@ import shutil
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -87,11 +87,12 @@ def _from_here(path: Path) -> str:
     return str(relative) if len(relative.parts) > 1 else os.path.join(".", relative)  # noqa: PTH118 - keeps "./"
 
 
-def warn(log: "LaserLog") -> None:
-    """Show what the last iteration over a log brought to light."""
+def warn(log: "LaserLog", warnings: Sequence[str] | None = None) -> None:
+    """Show what the last iteration over a log brought to light; `warnings` in place of the log's."""
     console = stderr()
     skipped = [f"{scan.place} skipped: {scan.reason}" for scan in log.skipped]
-    for texts, what in ((log.warnings, "warnings"), (skipped, "skipped scans")):
+    told = log.warnings if warnings is None else warnings
+    for texts, what in ((told, "warnings"), (skipped, "skipped scans")):
         for text in texts[:N_REASONS]:
             console.print(f"warning: {log.path}: {text}", soft_wrap=True)
         if len(texts) > N_REASONS:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
-from slammot_graph.cli.files import LaserPose, OdometrySwitch, prepare_file
+from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def simulate_command(
     Parameters
     ----------
     scenario
-        One of one-walker, two-walkers, lab, office, corridor, hall, crowd, building.
+        One of one-walker, two-walkers, lab, office, corridor, hall, crowd, building, fast-turns, two-lasers.
     output
         The log to write.
     seed
@@ -52,7 +52,9 @@ def inject_command(
     output: Annotated[Path, tyro.conf.arg(metavar="LOG.npz")],
     reference: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
+    cloud_topic: CloudTopic = None,
+    heights: Slice = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -79,7 +81,11 @@ def inject_command(
     max_scans
         Take the log's first ones only.
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
+    cloud_topic
+        Clouds (PointCloud2) of a bag, to make scans of.
+    heights
+        Heights above the base between which a cloud is cut into a scan [m].
     odom_topic
         Which odometry of a bag.
     imu_topic
@@ -107,6 +113,8 @@ def inject_command(
     opened = open_log(
         log,
         scan_topic=scan_topic,
+        cloud_topic=cloud_topic,
+        heights=heights,
         odom_topic=odom_topic,
         imu_topic=imu_topic,
         odom_frame=odom_frame,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import tyro
 from rich.table import Table
@@ -31,7 +31,7 @@ from slammot_graph.cli.console import (
     warn,
     warn_of,
 )
-from slammot_graph.cli.files import LaserPose, OdometrySwitch
+from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice
 from slammot_graph.cli.logs import write_simulation
 from slammot_graph.core.errors import InputError
 
@@ -63,7 +63,9 @@ def run_command(
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
+    cloud_topic: CloudTopic = None,
+    heights: Slice = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
     odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
@@ -90,7 +92,11 @@ def run_command(
     max_scans
         Take the log's first ones only.
     scan_topic
-        Which laser of a bag.
+        Which laser of a bag, or which lasers.
+    cloud_topic
+        Clouds (PointCloud2) of a bag, to make scans of.
+    heights
+        Heights above the base between which a cloud is cut into a scan [m].
     odom_topic
         Which odometry of a bag.
     imu_topic
@@ -102,7 +108,8 @@ def run_command(
     odometry
         off: leave the log's odometry aside; the laser alone tells of the motion.
     laser_pose
-        Where the laser sits on the robot [m, m, rad], in place of what the log says.
+        Where the laser sits on the robot [m, m, rad], in place of what the log says; flip: upside down. Of several
+        lasers, the frame of each before its pose.
     rerun
         Record run.rrd, stream to a viewer, or neither.
     overwrite
@@ -120,6 +127,8 @@ def run_command(
     opened = open_log(
         log,
         scan_topic=scan_topic,
+        cloud_topic=cloud_topic,
+        heights=heights,
         odom_topic=odom_topic,
         imu_topic=imu_topic,
         odom_frame=odom_frame,
@@ -143,6 +152,7 @@ def run_command(
         max_scans=max_scans,
         observers=_observers(output, rerun),
     )
+    opened = cast("LaserLog", run.log)
     early = inspect_first(opened, limits_of(run.config))
     warn_of(opened, early)
     outcome = _execute(run, opened, output, overwrite=overwrite)

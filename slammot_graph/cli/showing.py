@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, command, progress, stderr
-from slammot_graph.cli.files import open_log_of_run, prepare_file
+from slammot_graph.cli.files import ScanTopics, open_log_of_run, prepare_file
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def animate_command(
     every: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     first: Annotated[int, tyro.conf.arg(metavar="N")] = 1,
     last: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    scan_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    scan_topic: ScanTopics = None,
     odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
 ) -> int:
     """Make a moving picture of a run.

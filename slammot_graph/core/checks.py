@@ -35,7 +35,7 @@ class Range:
     def __contains__(self, value: float) -> bool:
         is_above = value > self.low if self.is_low_open else value >= self.low
         is_below = value < self.high if self.is_high_open else value <= self.high
-        return is_above and is_below and (math.isfinite(value) or self.may_be_infinite)
+        return is_above and is_below and (abs(value) < math.inf or self.may_be_infinite)
 
     def __str__(self) -> str:
         if math.isfinite(self.high) and math.isfinite(self.low):

@@ -18,6 +18,7 @@ from typing import Any, TypeVar, Union
 
 from slammot_graph.core.checks import FieldError
 from slammot_graph.core.errors import ConfigError
+from slammot_graph.core.files import MOST_SETTINGS_BYTES, check_regular
 
 T = TypeVar("T")
 
@@ -43,12 +44,15 @@ def load_config(path: str | Path, default: T) -> T:
     ConfigError
         The file cannot be read, is not TOML, holds a key that does not exist, or a value that does not fit.
     """
+    check_regular(Path(path), MOST_SETTINGS_BYTES)
     try:
         with Path(path).open("rb") as file:
             values = tomllib.load(file)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ConfigError(f"{path}: not a file of settings: tables within tables without end") from None
+    except ValueError as error:  # of TOML, of its encoding, of numbers of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {_one_line(error)}") from None
     return from_plain(values, default, source=str(path))
 

@@ -31,6 +31,7 @@ FindingKind = Literal[
     "clock offset",
     "odometry noise",
     "stamps",
+    "beam times",
     "frames",
 ]
 

@@ -21,6 +21,12 @@ class SourceInfo(TypedDict, total=False):
         Laser in base [m, m, rad].
     laser_pose_from : str
         Where that comes from; "given" where the user gave it.
+    given_laser_pose : sequence of str
+        As the user gave it, where that is more than three numbers.
+    cloud_topic, slice : str, (z_min, z_max)
+        Of scans made of clouds, and of which heights above the base [m].
+    lasers : sequence of mappings
+        Of several lasers: topic, frame, n_scans, laser_pose, is_upside_down, laser_pose_from; or is_used, false.
     poses : str
         "estimates" where the log's true poses are those of a run.
     """
@@ -33,6 +39,10 @@ class SourceInfo(TypedDict, total=False):
     odometry: str
     laser_pose: tuple[float, float, float]
     laser_pose_from: str
+    given_laser_pose: list[str]
+    cloud_topic: str
+    slice: tuple[float, float]
+    lasers: list[dict[str, object]]
     poses: str
 
 

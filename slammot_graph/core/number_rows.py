@@ -5,7 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import MOST_TEXT_BYTES, check_regular
 from slammot_graph.core.types import FloatArray
+
+MOST_SENSIBLE = 1e13
+"""No time in seconds and no place in metres is farther from zero."""
 
 
 def read_number_rows(path: Path, n_columns: int) -> FloatArray:
@@ -18,6 +22,7 @@ def read_number_rows(path: Path, n_columns: int) -> FloatArray:
     InputError
         The file cannot be read, or a line in it is malformed; the text names the line.
     """
+    check_regular(path, MOST_TEXT_BYTES)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except OSError as error:
@@ -33,7 +38,10 @@ def read_number_rows(path: Path, n_columns: int) -> FloatArray:
             row = [float(word) for word in words]
         except ValueError:
             row = []
-        if len(row) != n_columns or not np.all(np.isfinite(row)):
-            raise InputError(f"{path}, line {number}: expected {n_columns} finite numbers, not {line[:60]!r}")
+        if len(row) != n_columns or not all(abs(value) < MOST_SENSIBLE for value in row):
+            raise InputError(
+                f"{path}, line {number}: expected {n_columns} finite numbers (below {MOST_SENSIBLE:g}), not"
+                f" {line[:60]!r}"
+            )
         rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(-1, n_columns)

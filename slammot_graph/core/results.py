@@ -321,6 +321,8 @@ class RunResult:
         Poses as estimated when each scan came.
     objects : tuple of TrackedObject
         What `tracks` follow, where the run tells.
+    laser : (n,) int array or None
+        Which of the robot's lasers took each scan, from 0; None: the only one.
     """
 
     method: str
@@ -359,6 +361,7 @@ class RunResult:
     is_track_online_seen: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
     T_map_base_online: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     objects: tuple[TrackedObject, ...] = ()
+    laser: IntArray | None = None
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

@@ -7,8 +7,10 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core._numba import kernel
+from slammot_graph.core._sweep_kernels import sweep_geometry
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.odometry_track import OdometryTrack
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 NO_RETURN_FRACTION = 0.97
@@ -28,6 +30,8 @@ class LaserModel:
         Limits of a valid return [m]; ranges above ``NO_RETURN_FRACTION * range_max`` are missing returns.
     T_base_laser : (x, y, theta)
         Mounting: the laser in the robot's base frame [m, m, rad].
+    number : int
+        Which of the robot's lasers it is, from 0.
     """
 
     angle_min: float
@@ -36,6 +40,7 @@ class LaserModel:
     range_min: float
     range_max: float
     T_base_laser: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    number: int = 0
 
     def __post_init__(self) -> None:
         if self.n_beams < 1:
@@ -64,6 +69,11 @@ class LaserModel:
     def origin_base(self) -> FloatArray:
         """(2,) the laser's place in the base frame [m]."""
         return np.array(self.T_base_laser[:2])
+
+    @cached_property
+    def origins_base(self) -> FloatArray:
+        """(1, 2) the same, as the one origin of all beams."""
+        return self.origin_base[None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,6 +121,11 @@ class Scan:
         and of live sources.
     imu_yaw : float or None
         Yaw of the base at the stamp by an IMU's yaw rate alone [rad], not wrapped; its zero does not matter.
+    beam_times : (n_beams,) array or None
+        When each beam was sent out, since the stamp [s]; scans may share the array. None: all at the stamp.
+    sweep : SweepMotion or None
+        How the robot moved meanwhile: end points, origins and directions are then those in the base frame at the
+        stamp. None: as if it stood still.
     """
 
     index: int
@@ -121,6 +136,8 @@ class Scan:
     truth: ScanTruth | None = field(default=None)
     odometry: OdometryTrack | None = field(default=None, repr=False)
     imu_yaw: float | None = None
+    beam_times: FloatArray | None = field(default=None, repr=False)
+    sweep: SweepMotion | None = field(default=None, repr=False)
 
     def is_valid(self, max_range: float = np.inf, range_fraction: float = NO_RETURN_FRACTION) -> BoolArray:
         """(n_beams,) mask of returns that are points: within the laser's limits and `max_range` [m].
@@ -145,11 +162,45 @@ class Scan:
         """(n_beams, 2) end points in the base frame [m]: origin + r (cos, sin) (eq. 7); NaN for infinite r."""
         return self._points_base
 
+    @property
+    def origins_base(self) -> FloatArray:
+        """(1, 2) where all beams start from, or (n_beams, 2) where each does, base frame [m]."""
+        return self.laser.origins_base if self.sweep is None else self._swept[1]
+
+    @property
+    def directions_base(self) -> FloatArray:
+        """(n_beams, 2) unit vectors of the beams in the base frame."""
+        return self.laser.directions_base if self.sweep is None else self._swept[2]
+
     @cached_property
     def _points_base(self) -> FloatArray:
-        points = _end_points(self.ranges, self.laser.origin_base, self.laser.directions_base)
+        if self.sweep is not None:
+            points = self._swept[0]
+        else:
+            points = _end_points(self.ranges, self.laser.origin_base, self.laser.directions_base)
         points.setflags(write=False)
         return points
+
+    @cached_property
+    def _swept(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """End points, origins and directions (n_beams, 2) of a deskewed scan."""
+        sweep, n = self.sweep, len(self.ranges)
+        points, origins, directions = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2))
+        if sweep is None or self.beam_times is None:
+            raise ValueError("a scan without beam times has no motion during its sweep")
+        sweep_geometry(
+            self.beam_times,
+            sweep.first_s,
+            sweep.last_s,
+            sweep.T_stamp_base,
+            self.ranges,
+            self.laser.origin_base,
+            self.laser.directions_base,
+            points,
+            origins,
+            directions,
+        )
+        return points, origins, directions
 
     def points(self, T_a_base: FloatArray) -> FloatArray:
         """(n_beams, 2) end points in frame a [m] (eq. 2)."""

@@ -10,12 +10,17 @@ from slammot_graph.core.se2 import transform_points
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection.reasons import FREE, NOT_VALID, OCCUPIED, TOO_UNCERTAIN, UNKNOWN
 
+SWEPT_ROUNDS = 2
+"""How often the beam towards a point is looked for from where the beam found before starts."""
+
 
 @kernel
 def end_point_covariances(
     ranges: FloatArray,
     directions_base: FloatArray,
-    origin_base: FloatArray,
+    origins_base: FloatArray,
+    times: FloatArray,
+    cov_velocity: FloatArray,
     theta: float,
     cov_pose: FloatArray,
     range_std: float,
@@ -25,20 +30,37 @@ def end_point_covariances(
     """Fill `out` (n, 3) with (xx, xy, yy) of each end point's covariance in the frame of the pose (eq. 9).
 
     ``H_r R_r H_r' + H_l R_l H_l'`` with the pose perturbed in the body frame: ``H_r = R [I | (-py, px)']`` and
-    ``H_l = R [u | r u_perp]``.
+    ``H_l = R [u | r u_perp]``. Beams start from `origins_base`, (1, 2) or (n, 2). Of a sweep `times` (n,) are given
+    (else (0,)): the pose of a beam that is t seconds late has ``t^2 cov_velocity`` more.
     """
+    step = 1 if origins_base.shape[0] > 1 else 0
+    is_swept = times.shape[0] > 0
+    p00 = cov_pose[0, 0]
+    p01 = cov_pose[0, 1]
+    p02 = cov_pose[0, 2]
+    p11 = cov_pose[1, 1]
+    p12 = cov_pose[1, 2]
+    p22 = cov_pose[2, 2]
     c = math.cos(theta)
     s = math.sin(theta)
     for k in range(ranges.shape[0]):
         r = ranges[k]
         ux = directions_base[k, 0]
         uy = directions_base[k, 1]
-        px = origin_base[0] + r * ux
-        py = origin_base[1] + r * uy
+        px = origins_base[k * step, 0] + r * ux
+        py = origins_base[k * step, 1] + r * uy
+        if is_swept:
+            t2 = times[k] * times[k]
+            p00 = cov_pose[0, 0] + t2 * cov_velocity[0, 0]
+            p01 = cov_pose[0, 1] + t2 * cov_velocity[0, 1]
+            p02 = cov_pose[0, 2] + t2 * cov_velocity[0, 2]
+            p11 = cov_pose[1, 1] + t2 * cov_velocity[1, 1]
+            p12 = cov_pose[1, 2] + t2 * cov_velocity[1, 2]
+            p22 = cov_pose[2, 2] + t2 * cov_velocity[2, 2]
         # H_r R_r H_r' in the base frame, J = [I | (-py, px)']
-        xx = cov_pose[0, 0] - 2.0 * py * cov_pose[0, 2] + py * py * cov_pose[2, 2]
-        xy = cov_pose[0, 1] + px * cov_pose[0, 2] - py * cov_pose[1, 2] - px * py * cov_pose[2, 2]
-        yy = cov_pose[1, 1] + 2.0 * px * cov_pose[1, 2] + px * px * cov_pose[2, 2]
+        xx = p00 - 2.0 * py * p02 + py * py * p22
+        xy = p01 + px * p02 - py * p12 - px * py * p22
+        yy = p11 + 2.0 * px * p12 + px * px * p22
         # H_l R_l H_l'
         var_r = range_std * range_std
         var_t = r * r * angle_std * angle_std
@@ -168,7 +190,9 @@ def test_beams(
     points_base: FloatArray,
     ranges: FloatArray,
     directions_base: FloatArray,
-    origin_base: FloatArray,
+    origins_base: FloatArray,
+    times: FloatArray,
+    cov_velocity: FloatArray,
     is_valid: BoolArray,
     T: FloatArray,
     cov_pose: FloatArray,
@@ -183,7 +207,9 @@ def test_beams(
 ) -> None:
     """Put a scan at the pose `T` and test it: fills its `points` (n, 2), their `cov` (n, 3) and `reason` (n,)."""
     transform_points(T, points_base, points)
-    end_point_covariances(ranges, directions_base, origin_base, T[2], cov_pose, range_std, angle_std, cov)
+    end_point_covariances(
+        ranges, directions_base, origins_base, times, cov_velocity, T[2], cov_pose, range_std, angle_std, cov
+    )
     ellipse_test(
         log_odds,
         stamp,
@@ -230,7 +256,7 @@ def seen_through(
     points: FloatArray,
     is_used: BoolArray,
     T_base: FloatArray,
-    origin_base: FloatArray,
+    origins_base: FloatArray,
     directions_base: FloatArray,
     angle_first: float,
     angle_increment: float,
@@ -244,12 +270,14 @@ def seen_through(
 
     The beam towards a point and both its neighbours must be valid and reach beyond it; runs of fewer than `min_run`
     such points, with no other used one in between, do not count. `T_base` is in the frame of the points, beam 0 of the
-    later scan has the direction `angle_first` in the base frame. Returns their number.
+    later scan has the direction `angle_first` in the base frame. Its beams start from `origins_base`, (1, 2) or
+    (n, 2). Returns their number.
     """
     c = math.cos(T_base[2])
     s = math.sin(T_base[2])
-    laser_x = T_base[0] + c * origin_base[0] - s * origin_base[1]
-    laser_y = T_base[1] + s * origin_base[0] + c * origin_base[1]
+    is_swept = origins_base.shape[0] > 1
+    laser_x = T_base[0] + c * origins_base[0, 0] - s * origins_base[0, 1]
+    laser_y = T_base[1] + s * origins_base[0, 0] + c * origins_base[0, 1]
     n_gone = 0
     run = 0
     m = -1
@@ -262,6 +290,18 @@ def seen_through(
         m = _beam_towards(
             c * dx + s * dy, -s * dx + c * dy, directions_base, angle_first, angle_increment, m + k - last
         )
+        if is_swept:
+            # the beam found tells from where, and how turned, the laser looked this way
+            for _ in range(SWEPT_ROUNDS):
+                if not 0 <= m < ranges.shape[0]:
+                    break
+                laser_x = T_base[0] + c * origins_base[m, 0] - s * origins_base[m, 1]
+                laser_y = T_base[1] + s * origins_base[m, 0] + c * origins_base[m, 1]
+                dx = points[k, 0] - laser_x
+                dy = points[k, 1] - laser_y
+                m = _beam_towards(
+                    c * dx + s * dy, -s * dx + c * dy, directions_base, angle_first, angle_increment, m
+                )
         last = k
         passes = m >= 1 and m < ranges.shape[0] - 1
         if passes:

@@ -15,7 +15,7 @@ from slammot_graph.detection import reasons
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
 from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_moving, packed_covariances
-from slammot_graph.detection.scan_history import ScanRecord
+from slammot_graph.detection.scan_history import ScanHistory, ScanRecord
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.tracking.base import ScanView, Tracker
 from slammot_graph.tracking.smoothing import SightingHistory
@@ -60,15 +60,17 @@ def retrospective_labels(
         later = detect_moving(
             item.scan, item.is_valid, T, item.cov_relative, memory, ellipse_test, clusters, expected
         )
-        ends = se2.transform(T, np.vstack([item.scan.laser.origin_base, item.scan.points_base()]))
-        labels[k] = _combine(item, later, _follow(tracker, item, later, ends[1:]))
+        origins = item.scan.origins_base
+        ends = se2.transform(T, np.vstack([origins, item.scan.points_base()]))
+        origins, points = ends[: len(origins)], ends[len(origins) :]
+        labels[k] = _combine(item, later, _follow(tracker, item, later, points))
         is_static = item.is_valid & ~labels[k]
-        memory.update(now, ends[0], ends[1:], item.is_valid, is_static, labels[k])
+        memory.update(now, origins, points, item.is_valid, is_static, labels[k])
     return labels
 
 
 def sightings_of_labels(
-    history: Sequence[ScanRecord],
+    history: ScanHistory,
     T_map_base: FloatArray,
     labels: Sequence[BoolArray],
     *,
@@ -96,6 +98,7 @@ def sightings_of_labels(
         As of `SightingHistory.table`.
     """
     found = SightingHistory()
+    has_several = history.n_lasers > 1
     for k, (item, is_moving) in enumerate(zip(history, labels, strict=False)):
         scan, T = item.scan, T_map_base[k]
         view = ScanView.of_scan(
@@ -108,6 +111,8 @@ def sightings_of_labels(
             is_valid=item.is_valid,
             range_fraction=range_fraction,
         )
+        if has_several:
+            view = view.by_one_of_several()
         tracker.update(scan.stamp, _NO_CENTRES, _NO_COVS, (), None, view)
         if tracker.sightings is not None:
             found.add(k, tracker.sightings, T)

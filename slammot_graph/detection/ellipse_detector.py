@@ -241,7 +241,7 @@ class EllipseDetector:
                 self.grid.oldest = max(self._keyframes[0], self._first_remembered)
             self.grid.add_scan(scan.index, scan, T_local_base, points, is_valid, is_static)
         if self._visibility_check is not None:
-            self._visibility_check.remember(scan.stamp, T_local_base, points, is_valid)
+            self._visibility_check.remember(scan.stamp, T_local_base, points, is_valid, scan.laser.number)
 
     def retrospective_labels(
         self, history: Sequence[ScanRecord], T_map_base: FloatArray, tracker: Tracker

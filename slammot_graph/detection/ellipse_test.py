@@ -94,8 +94,9 @@ def packed_covariances(
     packed = np.empty((len(scan.ranges), 3))
     _kernels.end_point_covariances(
         scan.ranges,
-        scan.laser.directions_base,
-        scan.laser.origin_base,
+        scan.directions_base,
+        scan.origins_base,
+        *_sweep(scan),
         float(T_a_base[2]),
         cov_pose,
         config.range_std_m,
@@ -185,8 +186,9 @@ def _test(
         grid.l_occupied,
         scan.points_base(),
         scan.ranges,
-        scan.laser.directions_base,
-        scan.laser.origin_base,
+        scan.directions_base,
+        scan.origins_base,
+        *_sweep(scan),
         is_valid,
         T_a_base,
         cov_pose,
@@ -200,6 +202,16 @@ def _test(
         reason,
     )
     return points, packed, reason
+
+
+def _sweep(scan: Scan) -> tuple[FloatArray, FloatArray]:
+    """Beam times (n,) and covariance (3, 3) of the velocity of a deskewed scan; times (0,) of any other."""
+    if scan.sweep is None or scan.beam_times is None:
+        return _AT_ONCE
+    return scan.beam_times, scan.sweep.cov_velocity
+
+
+_AT_ONCE: tuple[FloatArray, FloatArray] = np.empty(0), np.zeros((3, 3))
 
 
 def _test_at_sigma_points(

@@ -13,13 +13,15 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
 
 MOST_IN_MEMORY = 32 << 20
 """Beyond this [bytes] a temporary file on the disk holds them."""
 
-_HEAD = struct.Struct("=qdqiI?9f")
+_HEAD = struct.Struct("=qdqiI?H9f")
+_SWEEP = struct.Struct("=2d9f")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,11 +56,20 @@ class ScanRecord:
 
 
 class ScanHistory(Sequence[ScanRecord]):
-    """All scans of a run in their order: 5 bytes a beam, on the disk once they are many."""
+    """All scans of a run in their order: 5 bytes a beam, 9 of a sweep; on the disk once they are many.
+
+    Attributes
+    ----------
+    stamps : array of n floats [s]
+    laser_numbers : array of n ints
+        Which of the robot's lasers took each.
+    """
 
     def __init__(self) -> None:
         self._lasers: list[LaserModel] = []
         self._places = array("q")
+        self.stamps = array("d")
+        self.laser_numbers = array("q")
         self._file = SpooledTemporaryFile(max_size=MOST_IN_MEMORY)  # noqa: SIM115
         weakref.finalize(self, self._file.close)
         self._end = 0
@@ -83,16 +94,21 @@ class ScanHistory(Sequence[ScanRecord]):
         SlammotError
             The disk is full.
         """
-        if not self._lasers or self._lasers[-1] is not scan.laser:
+        # of several lasers, each is among the latest few
+        laser = next((k for k, x in enumerate(self._lasers[-1:-9:-1], start=1) if x is scan.laser), 0)
+        laser = len(self._lasers) - laser
+        if laser == len(self._lasers):
             self._lasers.append(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
         _kernels.pack_masks(is_valid, is_moving, reason, masks)
         for beams in displaced:
             masks[beams] |= 8
         cov = cov_relative.ravel().tolist()
-        laser = len(self._lasers) - 1
-        head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, *cov)
-        packed = b"".join((head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes()))
+        n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
+        head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
+        packed = b"".join(
+            (head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes(), _packed_sweep(scan))
+        )
         try:
             if not self._is_at_end:
                 self._file.seek(self._end)
@@ -104,6 +120,8 @@ class ScanHistory(Sequence[ScanRecord]):
                 "free some space, or set TMPDIR to a folder that has some"
             ) from error
         self._places.append(self._end)
+        self.stamps.append(scan.stamp)
+        self.laser_numbers.append(scan.laser.number)
         self._end += len(packed)
 
     @overload
@@ -118,6 +136,11 @@ class ScanHistory(Sequence[ScanRecord]):
             return [self._unpack(place) for place in self._places[k]]
         return self._unpack(self._places[k])
 
+    @property
+    def n_lasers(self) -> int:
+        """Lasers of the robot that took them."""
+        return len(set(self.laser_numbers))
+
     def __len__(self) -> int:
         return len(self._places)
 
@@ -128,9 +151,10 @@ class ScanHistory(Sequence[ScanRecord]):
     def _unpack(self, place: int) -> ScanRecord:
         self._is_at_end = False
         self._file.seek(place)
-        index, stamp, window, laser, n, is_doubtful, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
+        index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
         ranges = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
         masks = np.frombuffer(self._file.read(n), dtype=np.uint8)
+        beam_times, sweep = self._read_sweep(n, n_knots)
         valid, moving, wall, displaced = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8))
         return ScanRecord(
             scan=Scan(
@@ -139,6 +163,8 @@ class ScanHistory(Sequence[ScanRecord]):
                 ranges=ranges,
                 laser=self._lasers[laser],
                 T_odom_base=se2.IDENTITY,
+                beam_times=beam_times,
+                sweep=sweep,
             ),
             is_valid=valid,
             is_moving=moving,
@@ -148,3 +174,27 @@ class ScanHistory(Sequence[ScanRecord]):
             window=window,
             is_doubtful=is_doubtful,
         )
+
+    def _read_sweep(self, n: int, n_knots: int) -> tuple[FloatArray | None, SweepMotion | None]:
+        """Beam times (n,) and motion of a deskewed scan."""
+        if not n_knots:
+            return None, None
+        first_s, last_s, *cov = _SWEEP.unpack(self._file.read(_SWEEP.size))
+        knots = np.frombuffer(self._file.read(12 * n_knots), dtype=np.float32).astype(np.float64)
+        times = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
+        sweep = SweepMotion(
+            first_s=first_s,
+            last_s=last_s,
+            T_stamp_base=knots.reshape(-1, 3),
+            cov_velocity=np.array(cov).reshape(3, 3),
+        )
+        return times, sweep
+
+
+def _packed_sweep(scan: Scan) -> bytes:
+    """Beam times and motion of a deskewed scan as bytes; none of any other."""
+    sweep = scan.sweep
+    if sweep is None or scan.beam_times is None:
+        return b""
+    head = _SWEEP.pack(sweep.first_s, sweep.last_s, *sweep.cov_velocity.ravel().tolist())
+    return b"".join((head, *(x.astype(np.float32).tobytes() for x in (sweep.T_stamp_base, scan.beam_times))))

@@ -56,31 +56,40 @@ class VisibilityCheck:
 
     def __init__(self, config: VisibilityCheckConfig) -> None:
         self.config = config
-        self._seen: deque[_Seen] = deque()
+        self._seen: dict[int, deque[_Seen]] = {}
 
     def remember(
-        self, stamp_s: float, T_local_base: FloatArray, points: FloatArray, is_valid: BoolArray
+        self,
+        stamp_s: float,
+        T_local_base: FloatArray,
+        points: FloatArray,
+        is_valid: BoolArray,
+        laser: int = 0,
     ) -> None:
-        """Take in a scan at its matched pose (3,): its points (n, 2) [m], local frame, and which are returns (n,)."""
+        """Take in a scan at its matched pose (3,): its points (n, 2) [m], local frame, and which are returns (n,).
+
+        Scans are compared with earlier ones of the same laser, by its number.
+        """
         x, y, _ = T_local_base.tolist()
-        self._seen.append(_Seen(stamp_s, x, y, points, is_valid))
+        self._seen.setdefault(laser, deque()).append(_Seen(stamp_s, x, y, points, is_valid))
 
     def vacated(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> FloatArray:
         """(k, 2) points [m] of an earlier scan that this one, at its pose (3,), sees through; local frame."""
         x, y = T_local_base[:2].tolist()
-        while len(self._seen) > 1 and self._is_old(self._seen[1], scan.stamp, x, y):
-            self._seen.popleft()
-        if not self._seen or not self._is_old(self._seen[0], scan.stamp, x, y):
-            return np.empty((0, 2))
-        earlier = self._seen[0]
         laser = scan.laser
+        seen = self._seen.get(laser.number, deque())
+        while len(seen) > 1 and self._is_old(seen[1], scan.stamp, x, y):
+            seen.popleft()
+        if not seen or not self._is_old(seen[0], scan.stamp, x, y):
+            return np.empty((0, 2))
+        earlier = seen[0]
         gone = np.empty_like(earlier.points)
         n_gone = _kernels.seen_through(
             earlier.points,
             earlier.is_valid,
             T_local_base,
-            laser.origin_base,
-            laser.directions_base,
+            scan.origins_base,
+            scan.directions_base,
             laser.angle_min + laser.T_base_laser[2],
             laser.angle_increment,
             scan.ranges,

@@ -13,9 +13,12 @@ from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import Health
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.diagnosis.inspect import ScanStatistics, limits_of
+from slammot_graph.diagnosis.mounting import with_found_mounting
 from slammot_graph.diagnosis.odometry import OdometryStatistics
+from slammot_graph.diagnosis.own_body import Source, without_own_body
 from slammot_graph.diagnosis.statistics import RunStatistics
 from slammot_graph.diagnosis.verdict import diagnose
+from slammot_graph.logs.remounted import RemountedLog
 from slammot_graph.logs.source import LaserLog, describe
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline, PipelineConfig
@@ -59,6 +62,11 @@ class CheckReport:
     verdict: tuple[Finding, ...]
 
 
+def as_mounted(log: Source) -> Source | RemountedLog:
+    """Give a log as a run uses it: with the mounting that the drive tells of, without returns of the robot's body."""
+    return without_own_body(with_found_mounting(log))
+
+
 def check_log(
     log: LaserLog,
     *,
@@ -86,6 +94,7 @@ def check_log(
     """
     config = _config(max_range_m)
     limits = limits_of(config)
+    log = as_mounted(log)
     statistics = RunStatistics(limits)
     # what the matches tell is known of the first scans only, what the scans tell of all
     scans, raw_odometry = ScanStatistics(limits), OdometryStatistics()

@@ -5,6 +5,7 @@ from collections import Counter
 from slammot_graph.core.results import Health, MatchStatus, StepResult
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
 from slammot_graph.diagnosis.odometry import OdometryStatistics
+from slammot_graph.diagnosis.turns import TurnAgreement
 
 
 class RunStatistics:
@@ -15,6 +16,7 @@ class RunStatistics:
     limits : MatchLimits
     scans : ScanStatistics
     odometry : OdometryStatistics
+    turns : TurnAgreement
     matches : Counter
         Scans by the status of their match; "none" where there was none.
     health : Counter
@@ -31,6 +33,7 @@ class RunStatistics:
         self.limits = limits
         self.scans = ScanStatistics(limits)
         self.odometry = OdometryStatistics()
+        self.turns = TurnAgreement()
         self.matches: Counter[MatchStatus | str] = Counter()
         self.health: Counter[Health] = Counter()
         self.n_lost = 0
@@ -41,6 +44,7 @@ class RunStatistics:
         """Take in the next step."""
         self.scans.add(step.scan)
         self.odometry.add(step.scan.stamp, step.scan.T_odom_base, step.T_map_base)
+        self.turns.add(step)
         self.matches["none" if step.match is None else step.match.status] += 1
         self.health[step.health] += 1
         for event in step.events:

@@ -29,6 +29,7 @@ MEASURED_LATE = "the run has corrected for it"
 
 _OF_WARNINGS: Sequence[tuple[FindingKind, str]] = (
     ("frames", r"two (frames|lasers)|frames of|other frame"),
+    ("beam times", r"time_increment"),
     ("stamps", r"(all|equal|same|identical) stamps|stamps? (are|is|never|do|does)\b|wrap"),
     ("no odometry", r"without odometry|laser alone|no odometry"),
     ("odometry never moves", r"static transform|never (moves|changes)"),
@@ -61,6 +62,7 @@ def diagnose(
         # where it never moves, that is the contradiction
         may_contradict = report.has_odometry and "odometry never moves" not in kinds
         found += _of_matches(statistics, may_contradict=may_contradict)
+        found += statistics.turns.findings()
     found += _of_warnings(log_warnings, {finding.kind for finding in found})
     return worst_first(found)
 

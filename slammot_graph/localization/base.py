@@ -94,6 +94,18 @@ class Localizer(Protocol):
     def predict(self, scan: Scan) -> Estimate:
         """Carry the last estimate along the motion to the new scan."""
 
+    def deskew(self, scan: Scan) -> Scan:
+        """Give the new scan with the motion during its sweep; a scan without beam times comes back as it is."""
+
+    def deskew_again(self, scan: Scan, is_static: BoolArray) -> Scan | None:
+        """Give the deskewed scan by what its latest match tells of the motion too; None: it tells nothing new.
+
+        The next match is made with it.
+        """
+
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """Give the deskewed scan, its estimate and its match by what the sweep before tells of where this one began."""
+
     def match(
         self,
         points_base: FloatArray,

@@ -1,5 +1,7 @@
 """The trajectory that the motion model alone tells."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from slammot_graph.core import se2
@@ -33,6 +35,20 @@ class DeadReckoning:
                 ),
             )
         return self.estimate
+
+    def deskew(self, scan: Scan) -> Scan:
+        """See `Localizer`: by the motion model."""
+        if scan.beam_times is None:
+            return scan
+        return replace(scan, sweep=self.model.during_sweep(scan))
+
+    def deskew_again(self, scan: Scan, is_static: BoolArray) -> Scan | None:
+        """See `Localizer`; nothing new is told."""
+        return None
+
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """See `Localizer`; nothing is joined."""
+        return scan, self.estimate, None
 
     def match(
         self,

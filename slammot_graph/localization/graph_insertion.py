@@ -67,10 +67,11 @@ class GraphInsertion:
 
         That is the keyframe that finishes the local map, and those at which a later one begins.
         """
-        n, config = len(self.local_map.keyframes), self.local_map.config
+        n, local_map = len(self.local_map.keyframes), self.local_map
         if n == 0 or self.closer is None or not self.closer.is_known:
             return True
-        return n == config.max_keyframes - 1 or n % (config.max_keyframes - config.n_overlap) == 0
+        full = local_map.max_keyframes
+        return n == full - 1 or n % (full - local_map.n_overlap) == 0
 
     def add_node(
         self, scan: int, T_local_base: FloatArray, T_odom_base: FloatArray, match: MatchResult | None

@@ -26,13 +26,15 @@ class MapMatching:
     local_map : LocalMap
         Must hold a keyframe.
     matcher : Matcher
+    laser_base : (2,), (1, 2) or (n, 2) array
+        Where the beams of the latest scan start from, base frame [m].
     """
 
     def __init__(self, config: ScanToMapConfig, local_map: LocalMap) -> None:
         self.config = config
         self.local_map = local_map
         self.matcher = make_matcher(config.point_to_line)
-        self._laser_base: FloatArray = np.zeros(2)
+        self.laser_base: FloatArray = np.zeros(2)
         self._T_local_before: FloatArray = se2.IDENTITY
         self._increment_before: FloatArray = se2.IDENTITY
         self._static_share = 1.0
@@ -46,13 +48,13 @@ class MapMatching:
 
         Parameters
         ----------
-        laser_base : (2,) array
-            The laser's place in the base frame [m].
+        laser_base : (2,), (1, 2) or (n, 2) array
+            Where all beams or each start from, base frame [m].
         T_local_before : (3,) array
             The pose at the scan before.
         """
         self._increment_before = se2.between(self._T_local_before, T_local_before)
-        self._laser_base, self._T_local_before = laser_base, T_local_before
+        self.laser_base, self._T_local_before = laser_base, T_local_before
         if self._latest is not None and self._latest.status == "converged":
             agreement = self.agreement(self._latest)
             self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
@@ -172,7 +174,7 @@ class MapMatching:
             T_a_base=start.T_local_base, cov=start.cov_prior, cov_independent=start.cov_independent
         )
         return self.matcher.match(
-            self.local_map, points_base, is_used, self._laser_base, prior, kernel_factor=kernel_factor
+            self.local_map, points_base, is_used, self.laser_base, prior, kernel_factor=kernel_factor
         )
 
     def _tail_scale(self, match: MatchResult, state: MotionState) -> float:

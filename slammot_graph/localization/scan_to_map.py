@@ -17,6 +17,7 @@ from slammot_graph.localization.graph_insertion import GraphInsertion
 from slammot_graph.localization.lost_detector import LostDetector
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.localization.scan_poses import ScanPoses
+from slammot_graph.localization.sweep_estimate import SweepEnd, SweepEstimate
 from slammot_graph.loop_closure import LoopCloser
 from slammot_graph.mapping.local_map import NO_NODE, LocalMap, make_keyframe
 from slammot_graph.odometry.motion import MatchedPose
@@ -48,6 +49,9 @@ class ScanToMap:
         self.lost = LostDetector(config.n_lost, config.kidnapped_distance_m)
         self.insertion = GraphInsertion(config, self.local_map)
         self._match: MatchResult | None = None
+        self._sweep: SweepEstimate | None = None
+        self._sweep_before: SweepEnd | None = None
+        self._sweep_end: SweepEnd | None = None
         self._T_local_anchor: FloatArray = se2.IDENTITY
         self._scan_poses = ScanPoses()
 
@@ -69,9 +73,29 @@ class ScanToMap:
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
         self.propagation.predict(scan)
-        self.matching.start_scan(scan.laser.origin_base, self.propagation.T_local_before)
+        self.matching.start_scan(scan.origins_base, self.propagation.T_local_before)
+        self._sweep, self._sweep_before, self._sweep_end = None, self._sweep_end, None
         self.matching.scale_noise(self.propagation.model.match_noise_scale)
         return self._estimate()
+
+    def deskew(self, scan: Scan) -> Scan:
+        """See `Localizer`: by the motion model."""
+        if scan.beam_times is None:
+            return scan
+        sweep = self.propagation.model.during_sweep(scan)
+        self._sweep = SweepEstimate(sweep, self.config.point_to_line)
+        return self._seen_from(replace(scan, sweep=sweep))
+
+    def deskew_again(self, scan: Scan, is_static: BoolArray) -> Scan | None:
+        """See `Localizer`: the velocity that brings all parts of the sweep onto the local map."""
+        match = self._match
+        if self._sweep is None or match is None or match.status == "failed":
+            return None
+        state = self.propagation.state
+        sweep = self._sweep.improved(
+            scan, is_static, self.local_map, state.T_local_base, self.propagation.predicted.cov_prior
+        )
+        return None if sweep is None else self._seen_from(replace(scan, sweep=sweep))
 
     def match(
         self,
@@ -88,6 +112,8 @@ class ScanToMap:
             self._match, self.propagation.state = self.matching.match(
                 points_base, is_static, start, kernel_factor, is_valid
             )
+            if self._sweep is not None:
+                self._match, self.propagation.state = self._sweep.widened(self._match, self.propagation.state)
             if self.propagation.model.is_contradicted:
                 self._match = replace(self._match, contradicts_odometry=True)
         return self._estimate(), self._match
@@ -99,11 +125,13 @@ class ScanToMap:
         events = self._look_for_loss(scan, has_points)
         is_lost = any(event.kind == "lost" for event in events)
         if is_lost:
+            self._sweep_end = None
             propagation.lose_track(self.config.lost_cov, self.config.lost_distance_m)
             insertion.start_component(propagation.path_m)
         state, T_odom_base = propagation.state, propagation.T_odom_base
         node, closures = None, tuple[ClosureAttempt, ...]()
-        is_keyframe = len(self.graph) == 0 or (has_points and self.local_map.wants(state.T_local_base))
+        wants = self.local_map.wants(state.T_local_base, scan.laser.number)
+        is_keyframe = len(self.graph) == 0 or (has_points and wants)
         if is_keyframe:
             insertion.advance(state, T_odom_base, self._match)
             propagation.start_keyframe()
@@ -151,6 +179,19 @@ class ScanToMap:
     def close(self) -> None:
         """See `Localizer`."""
         self.graph.close()
+
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """See `Localizer`: by a Kalman update of pose and velocity."""
+        if self._sweep is None or self._match is None:
+            return scan, self._estimate(), self._match
+        scan, joined, self.propagation.state, self._sweep_end = self._sweep.joined(scan, self._sweep_before)
+        self._match = replace(joined, contradicts_odometry=self._match.contradicts_odometry)
+        return self._seen_from(scan), self._estimate(), self._match
+
+    def _seen_from(self, scan: Scan) -> Scan:
+        """Let the next match know where the beams of a deskewed scan start."""
+        self.matching.laser_base = scan.origins_base
+        return scan
 
     def _estimate(self) -> Estimate:
         state = self.propagation.state
@@ -210,6 +251,7 @@ class ScanToMap:
             is_static,
             scan.laser,
             self.local_map.config,
+            scan.origins_base,
         )
         propagation.state, closures = self.insertion.add_keyframe(
             keyframe, node, propagation.state, propagation.path_m

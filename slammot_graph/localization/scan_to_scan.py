@@ -23,11 +23,12 @@ class ScanToScan(DeadReckoning):
         self._before: Estimate = self.estimate
         self._laser_base: FloatArray = np.zeros(2)
         self._reference: ReferenceScan | None = None
+        self._match: MatchResult | None = None
 
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
         self._before = self.estimate
-        self._laser_base = scan.laser.origin_base
+        self._laser_base = scan.origins_base
         return super().predict(scan)
 
     def match(
@@ -38,11 +39,14 @@ class ScanToScan(DeadReckoning):
         is_valid: BoolArray | None = None,
     ) -> tuple[Estimate, MatchResult | None]:
         """See `Localizer`."""
+        self._match = None
         if self._reference is None:
             return self.estimate, None
         start = se2.between(self._before.T_local_base, self.estimate.T_local_base)
         prior = MatchPrior(T_a_base=start, cov=self.estimate.cov_relative)
-        match = self.matcher.match(self._reference, points_base, is_static, self._laser_base, prior).result
+        self._match = match = self.matcher.match(
+            self._reference, points_base, is_static, self._laser_base, prior
+        ).result
         if match.status != "failed":
             self.estimate = Estimate(
                 T_local_base=se2.compose(self._before.T_local_base, match.T_ref_base),
@@ -50,6 +54,10 @@ class ScanToScan(DeadReckoning):
                 cov_absolute=se2.compound_covariance(self._before.cov_absolute, match.T_ref_base, match.cov),
             )
         return self.estimate, match
+
+    def join_sweep(self, scan: Scan) -> tuple[Scan, Estimate, MatchResult | None]:
+        """See `Localizer`; nothing is joined."""
+        return scan, self.estimate, self._match
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Reader as Reader1
 from rosbags.typesys import Stores, get_typestore
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.logs.bag_index import read_long_indices
 from slammot_graph.logs.bag_topics import Topic
 from slammot_graph.logs.base import one_line
 
@@ -25,11 +27,13 @@ class BagMessage(NamedTuple):
         When it was recorded [s].
     content : object or None
         The message as rosbags decodes it; None where it cannot be decoded.
+    topic : str
     """
 
     number: int
     bag_stamp: float
     content: Any
+    topic: str = ""
 
 
 class Bag:
@@ -76,7 +80,7 @@ class Bag:
                     return
                 connection, _, raw = record
                 number += 1
-                yield BagMessage(number, bag_stamp, self._decode(raw, connection.msgtype))
+                yield BagMessage(number, bag_stamp, self._decode(raw, connection.msgtype), connection.topic)
 
     def _stop(self, first_seconds: float | None) -> int | None:
         """Where the bag's first seconds end [ns]; None for all of it."""
@@ -105,6 +109,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        for part in reader.readers:
+            if isinstance(part, Reader1):
+                read_long_indices(part)
         reader.open()
     except Exception as err:  # the decoders of a damaged file may raise anything
         raise _unreadable(path, err) from None

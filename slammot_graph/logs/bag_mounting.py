@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 
 from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, transforms
 from slammot_graph.logs.bag_topics import TF_TYPES
-from slammot_graph.logs.mounting import FrameTree, Mounting, mounting_from_transform, transform_matrix
+from slammot_graph.logs.mounting import (
+    FrameTree,
+    GivenPose,
+    Mounting,
+    mounting_from_transform,
+    transform_matrix,
+)
 
 MOUNTING_SEARCH_S = 60.0
 """How much of a bag's start is searched for transforms that are not static."""
@@ -26,12 +32,12 @@ def find_mounting(
     bag: Bag,
     base_frames: Sequence[str],
     laser_frame: str,
-    laser_pose: tuple[float, float, float] | None = None,
+    given: GivenPose | None = None,
 ) -> FoundMounting:
     """The laser in the base by tf; the identity, and a warning, where tf does not connect them.
 
-    A `laser_pose` (x, y, theta) [m, m, rad] takes the place of the one in tf, which then says only whether the
-    laser is tilted or upside down.
+    A `given` pose takes the place of the one in tf, which then says only whether the laser is tilted, and whether it is
+    upside down unless that is given too.
     """
     tree = frame_tree(bag, base_frames[0], laser_frame)
     for base_frame in base_frames:
@@ -39,12 +45,14 @@ def find_mounting(
         if T_base_laser is not None:
             mounting = mounting_from_transform(T_base_laser)
             warnings = _tilt_warnings(mounting, laser_frame)
-            if laser_pose is None:
+            if given is None:
                 return FoundMounting(mounting=mounting, told_by="tf", warnings=warnings)
-            mounting = replace(mounting, T_base_laser=laser_pose)
+            is_upside_down = mounting.is_upside_down if given.is_upside_down is None else given.is_upside_down
+            mounting = replace(mounting, T_base_laser=given.T_base_laser, is_upside_down=is_upside_down)
             return FoundMounting(mounting=mounting, told_by="given", warnings=warnings)
-    if laser_pose is not None:
-        return FoundMounting(mounting=Mounting(T_base_laser=laser_pose), told_by="given")
+    if given is not None:
+        mounting = Mounting(T_base_laser=given.T_base_laser, is_upside_down=bool(given.is_upside_down))
+        return FoundMounting(mounting=mounting, told_by="given")
     warning = (
         f"tf does not tell where frame {laser_frame or '(unnamed)'} sits on {base_frames[0]};"
         " the laser is taken to sit on the base, unless --laser-pose says where"

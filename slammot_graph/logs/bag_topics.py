@@ -7,6 +7,7 @@ from pathlib import Path
 from slammot_graph.core.errors import InputError
 
 IMU_TYPES = ("sensor_msgs/msg/Imu",)
+CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2",)
 SCAN_TYPES = ("sensor_msgs/msg/LaserScan",)
 ODOMETRY_TYPES = ("nav_msgs/msg/Odometry",)
 POSE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -25,8 +26,8 @@ class Topic:
     n_messages: int
 
 
-def choose_scan_topic(path: Path, topics: Sequence[Topic], requested: str | None) -> Topic:
-    """The topic of the laser scans.
+def choose_scan_topics(path: Path, topics: Sequence[Topic], requested: Sequence[str]) -> list[Topic]:
+    """The topics of the laser scans: the requested ones, else the only one.
 
     Raises
     ------
@@ -34,11 +35,30 @@ def choose_scan_topic(path: Path, topics: Sequence[Topic], requested: str | None
         None fits, several do, or the requested one is not there or of another type.
     """
     fitting = _filled(topics, SCAN_TYPES)
-    if requested is not None:
-        return _requested(path, topics, fitting, requested, "--scan-topic", "LaserScan")
+    if requested:
+        chosen = [_requested(path, topics, fitting, x, "--scan-topic", "LaserScan") for x in requested]
+        return list(dict.fromkeys(chosen))
     if not fitting:
-        raise InputError(f"{path}: no LaserScan messages; its topics are {_listed(topics)}")
-    return _only(path, fitting, "--scan-topic", "LaserScan")
+        clouds = _filled(topics, CLOUD_TYPES)
+        hint = f"; make scans of {_listed(clouds)} with --cloud-topic T --slice Z_MIN Z_MAX" if clouds else ""
+        raise InputError(f"{path}: no LaserScan messages; its topics are {_listed(topics)}{hint}")
+    if len(fitting) > 1:
+        raise InputError(
+            f"{path}: several LaserScan topics ({_listed(fitting)}); name one with --scan-topic, or all that are"
+            " the robot's lasers"
+        )
+    return fitting
+
+
+def choose_cloud_topic(path: Path, topics: Sequence[Topic], requested: str) -> Topic:
+    """The topic of the clouds.
+
+    Raises
+    ------
+    InputError
+        The requested one is not there or of another type.
+    """
+    return _requested(path, topics, _filled(topics, CLOUD_TYPES), requested, "--cloud-topic", "PointCloud2")
 
 
 def choose_odometry_topic(

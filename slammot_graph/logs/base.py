@@ -3,13 +3,14 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
+from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.log_info import SourceInfo
 from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
@@ -32,6 +33,7 @@ class RawScan:
     truth: ScanTruth | None = None
     odometry: OdometryTrack | None = None
     imu_yaw: float | None = None
+    beam_times: FloatArray | None = None
 
 
 Records: TypeAlias = Generator[RawScan | SkippedScan, None, None]
@@ -87,7 +89,11 @@ class RecordedLog(ABC):
         index = 0
         try:
             with closing(self._records()) as records:
-                for record in records:
+                while True:
+                    with damage_told(self.path):
+                        record = next(records, None)
+                    if record is None:
+                        break
                     if isinstance(record, SkippedScan):
                         skipped.append(record)
                         continue
@@ -104,6 +110,7 @@ class RecordedLog(ABC):
                         truth=record.truth,
                         odometry=record.odometry,
                         imu_yaw=record.imu_yaw,
+                        beam_times=record.beam_times,
                     )
                     index += 1
         finally:
@@ -119,6 +126,20 @@ def _why_unusable(record: RawScan) -> str:
     if not ((record.ranges > 0.0) & (record.ranges < np.inf)).any():
         return "no beam has a finite, positive range"
     return ""
+
+
+@contextmanager
+def damage_told(path: Path) -> Iterator[None]:
+    """Turn whatever a decoder makes of a damaged file into an `InputError` that names it."""
+    try:
+        yield
+    except SlammotError:
+        raise
+    except (Exception, MemoryError) as err:  # decoders of a damaged file may raise anything
+        raise InputError(
+            f"{path}: cannot be read ({type(err).__name__}: {one_line(err)[:200]}); the file is damaged or no log:"
+            " check it, or copy it again"
+        ) from err
 
 
 def one_line(err: Exception) -> str:

@@ -1,8 +1,9 @@
 """The laser's mounting on the robot: from the transforms (tf) of a bag, or given."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,6 +13,10 @@ from slammot_graph.core.types import FloatArray
 
 MAX_TILT = math.radians(10.0)
 """A laser tilted further out of the robot's plane than this is worth a warning."""
+
+
+FLIP = "flip"
+"""After a given pose: the laser is upside down."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,23 +42,57 @@ class Mounting:
         return self.tilt <= MAX_TILT
 
 
-def laser_pose_source(T_base_laser: tuple[float, float, float], told_by: str) -> SourceInfo:
-    """Give the pose of a laser (x, y, theta) [m, m, rad] in the base and its origin, for `source_of`."""
-    return {"laser_pose": T_base_laser, "laser_pose_from": told_by}
+class GivenPose(NamedTuple):
+    """A laser pose that the user gave: (x, y, theta) [m, m, rad], and whether upside down; None: as tf says."""
+
+    T_base_laser: tuple[float, float, float]
+    is_upside_down: bool | None
 
 
-def check_laser_pose(laser_pose: tuple[float, float, float] | None) -> None:
-    """Check a laser pose that the user gave.
+GivenPoses: TypeAlias = Mapping[str, GivenPose]
+"""Given poses by the names of the lasers' frames; the empty name stands for the only laser."""
+
+
+def given_poses(laser_pose: Sequence[float | str] | None) -> GivenPoses:
+    """Read laser poses as a user gives them: ``[FRAME] X Y YAW [flip]``, for each laser one after the other.
 
     Raises
     ------
     ConfigError
-        A number in it is not finite.
+        They are not such numbers and words.
     """
-    if laser_pose is not None and not all(map(math.isfinite, laser_pose)):
-        raise ConfigError(
-            f"the laser pose must be three finite numbers, not {' '.join(map(str, laser_pose))}"
-        )
+    words = [] if laser_pose is None else [_number_or_word(x) for x in laser_pose]
+    found: dict[str, GivenPose] = {}
+    while words:
+        first = words[0]
+        frame = ""
+        if isinstance(first, str):
+            frame, words = first.lstrip("/"), words[1:]
+        pose = [x for x in words[:3] if not isinstance(x, str) and math.isfinite(x)]
+        if len(pose) < 3 or frame == FLIP or frame in found:
+            said = " ".join(map(str, laser_pose or ()))
+            raise ConfigError(
+                f"the laser pose must be three finite numbers X Y YAW, with the word {FLIP} after them where the laser"
+                f" is upside down, and the frame's name before them where there are several lasers, not {said}"
+            )
+        words = words[3:]
+        is_upside_down = None
+        if words and words[0] == FLIP:
+            is_upside_down, words = True, words[1:]
+        found[frame] = GivenPose((pose[0], pose[1], pose[2]), is_upside_down)
+    return found
+
+
+def _number_or_word(value: float | str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return str(value)
+
+
+def laser_pose_source(T_base_laser: tuple[float, float, float], told_by: str) -> SourceInfo:
+    """Give the pose of a laser (x, y, theta) [m, m, rad] in the base and its origin, for `source_of`."""
+    return {"laser_pose": T_base_laser, "laser_pose_from": told_by}
 
 
 class FrameTree:

@@ -25,7 +25,7 @@ def update_beams(
     inv_resolution: float,
     now: int,
     oldest: int,
-    origin: FloatArray,
+    origins: FloatArray,
     end_points: FloatArray,
     is_beam: BoolArray,
     is_hit: BoolArray,
@@ -39,6 +39,9 @@ def update_beams(
     l_max: float,
 ) -> None:
     """Update the grid with one scan: each touched cell once, a hit before a pass.
+
+    The beams start from `origins` [m], (1, 2) or (n, 2): neighbours so near to each other that rays are compared as if
+    they started from one place.
 
     A beam frees the cells on its line, and with the beam beside it those between them, so that beams that are
     farther apart than a cell leave no gaps. Where beams lie closer than cells, some leave theirs to the beams beside
@@ -78,10 +81,14 @@ def update_beams(
                 l_soft,
                 l_max,
             )
-    x0 = origin[0] * inv_resolution
-    y0 = origin[1] * inv_resolution
+    step = 1 if origins.shape[0] > 1 else 0
+    x0 = origins[0, 0] * inv_resolution
+    y0 = origins[0, 1] * inv_resolution
     ray = np.empty((n, 3))  # direction and length, in cells; a length of 0 for what frees nothing
     for k in range(n):
+        if step:
+            x0 = origins[k, 0] * inv_resolution
+            y0 = origins[k, 1] * inv_resolution
         dx = end_points[k, 0] * inv_resolution - x0
         dy = end_points[k, 1] * inv_resolution - y0
         length = math.sqrt(dx * dx + dy * dy) if is_beam[k] else 0.0
@@ -94,6 +101,9 @@ def update_beams(
         length = ray[k, 2]
         if length == 0.0:
             continue
+        if step:
+            x0 = origins[k, 0] * inv_resolution
+            y0 = origins[k, 1] * inv_resolution
         freed = _freed_by_others(ray, k, max_apart)
         if length - freed > 0.5:
             _free_line(

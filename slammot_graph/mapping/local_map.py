@@ -74,7 +74,9 @@ class Keyframe:
     points_base, normals_base : (m, 2) arrays
         Static points and their normals towards the laser, base frame; a normal of (0, 0) on no line.
     laser_base : (2,) array
-        Where the laser was, base frame.
+        Where the laser was, base frame; of a sweep, in the mean.
+    laser : int
+        Which laser.
     """
 
     node: int
@@ -82,6 +84,7 @@ class Keyframe:
     points_base: FloatArray
     normals_base: FloatArray
     laser_base: FloatArray
+    laser: int = 0
 
 
 def make_keyframe(
@@ -91,14 +94,21 @@ def make_keyframe(
     is_static: BoolArray,
     laser: LaserModel,
     config: LocalMapConfig,
+    origins_base: FloatArray | None = None,
 ) -> Keyframe:
-    """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on."""
+    """Take the static points (n, 2) of a scan, in beam order, and find the lines they lie on.
+
+    `origins_base`, (1, 2) or (n, 2) [m], are where the beams start from; by default where the laser sits.
+    """
+    laser_base = laser.origin_base
+    if origins_base is not None and len(origins_base) > 1:
+        laser_base = origins_base.mean(axis=0)
     normals = np.empty_like(points_base)
     step_rad = abs(laser.angle_increment)
     _local_map_kernels.estimate_normals(
         points_base,
         is_static,
-        laser.origin_base,
+        laser_base,
         max(3, round(config.normal_half_window_rad / step_rad)),
         config.normal_max_gap_m,
         3.0 * step_rad,
@@ -110,7 +120,8 @@ def make_keyframe(
         T_local_base=T_local_base,
         points_base=points_base[is_static],
         normals_base=normals[is_static],
-        laser_base=laser.origin_base,
+        laser_base=laser_base,
+        laser=laser.number,
     )
 
 
@@ -150,17 +161,29 @@ class LocalMap:
         self.T_local_keyframes = np.empty((0, 3))
         self.keyframe_roots = np.empty((0, 3, 3))
         self.first = self.end = 0
+        self._n_lasers = 1
+
+    @property
+    def max_keyframes(self) -> int:
+        """Keyframes of a full local map: those of each laser cover the same distance, however many lasers there are."""
+        return self._n_lasers * self.config.max_keyframes
+
+    @property
+    def n_overlap(self) -> int:
+        """Keyframes with which the next one starts."""
+        return self._n_lasers * self.config.n_overlap
 
     @property
     def anchor(self) -> Keyframe:
         """The keyframe that the local map is attached to."""
         return self.keyframes[0]
 
-    def wants(self, T_local_base: FloatArray) -> bool:
-        """Tell whether the robot has moved enough since the last keyframe, or there is none."""
-        if not self.keyframes:
+    def wants(self, T_local_base: FloatArray, laser: int = 0) -> bool:
+        """Tell whether the robot has moved enough since the last keyframe of this laser, or there is none."""
+        last = next((keyframe for keyframe in reversed(self.keyframes) if keyframe.laser == laser), None)
+        if last is None:
             return True
-        distance_m, turn_rad = se2.distance(self.keyframes[-1].T_local_base, T_local_base)
+        distance_m, turn_rad = se2.distance(last.T_local_base, T_local_base)
         return distance_m > self.config.keyframe_distance_m or turn_rad > self.config.keyframe_rotation_rad
 
     def add(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> tuple[Keyframe, ...]:
@@ -171,10 +194,11 @@ class LocalMap:
         """
         self.keyframes.append(keyframe)
         self._insert(keyframe, cov_anchor)
-        if len(self.keyframes) < self.config.max_keyframes:
+        if len(self.keyframes) < self.max_keyframes:
             return ()
         finished = tuple(self.keyframes)
-        self.start(self.keyframes[-self.config.n_overlap :])
+        self.start(self.keyframes[-self.n_overlap :])
+        self._n_lasers = max(self._n_lasers, len({keyframe.laser for keyframe in finished}))
         return finished
 
     def start(self, keyframes: list[Keyframe]) -> None:

@@ -7,10 +7,16 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare
+from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.scan import NO_RETURN_FRACTION, Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping._grid_kernels import update_beams
+
+LEAST_CELL_M, MOST_CELL_M = 1e-3, 10.0
+
+MOST_CELLS = 1 << 27
+"""Of a grid in one piece: 8 bytes each."""
 
 
 def _logit(p: float) -> float:
@@ -77,6 +83,11 @@ class GridConfig(Checked):
     def __post_init__(self) -> None:
         """See `Checked`."""
         super().__post_init__()
+        self.require(
+            LEAST_CELL_M <= self.resolution_m <= MOST_CELL_M,
+            f"must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m, not {self.resolution_m:g}",
+            key="resolution_m",
+        )
         self.require(
             0.0 < self.p_min < self.p_pass < 0.5 < self.p_hit < self.p_max < 1.0,
             "needs 0 < p_min < p_pass < 0.5 < p_hit < p_max < 1",
@@ -151,21 +162,23 @@ class OccupancyGrid:
             is_missing = scan.is_no_return(no_return.min_run, no_return.range_fraction)
             if is_missing.any():
                 reach_m = min(no_return.reach_m, scan.laser.range_max)
-                far = scan.laser.origin_base + reach_m * scan.laser.directions_base
+                far = scan.origins_base + reach_m * scan.directions_base
                 ends = np.where(is_missing[:, None], se2.transform(T_a_base, far), points)
                 is_beam = is_valid | is_missing
-        origin = se2.transform(T_a_base, scan.laser.origin_base[None])[0]
+        origins = se2.transform(T_a_base, scan.origins_base)
         is_hit = is_valid if self.config.occupy_with_moving else is_static
-        self.update(number, origin, ends, is_beam, is_hit, is_valid & ~is_hit)
+        self.update(number, origins, ends, is_beam, is_hit, is_valid & ~is_hit)
 
     def update(
         self,
         now: int,
-        origin: FloatArray,
+        origins: FloatArray,
         end_points: FloatArray,
         is_beam: BoolArray,
         is_hit: BoolArray,
         is_soft_hit: BoolArray | None = None,
+        weight: float = 1.0,
+        hit_weight: float = 1.0,
     ) -> None:
         """Take in one scan.
 
@@ -173,8 +186,8 @@ class OccupancyGrid:
         ----------
         now : int
             Number of the scan; not below that of an earlier update.
-        origin : (2,) array
-            The laser [m].
+        origins : (2,), (1, 2) or (n, 2) array
+            The laser [m]: one place, or that of each beam.
         end_points : (n, 2) array [m]
         is_beam : (n,) bool array
             Beams that free the cells they cross.
@@ -182,9 +195,12 @@ class OccupancyGrid:
             Beams whose end point occupies its cell.
         is_soft_hit : (n,) bool array, optional
             Beams whose end point fills its cell a little; by default all others that free.
+        weight, hit_weight : float
+            Of the scan's evidence, of what it frees and of its hits: the log-odds are multiplied by it.
         """
+        origins = origins.reshape(-1, 2)
         if not self.is_rolling:
-            self._cover(origin, end_points[is_beam])
+            self._cover(origins, end_points[is_beam])
         update_beams(
             self.log_odds,
             self.stamp,
@@ -193,14 +209,14 @@ class OccupancyGrid:
             self.inv_resolution,
             now,
             self.oldest,
-            origin,
+            origins,
             end_points,
             is_beam,
             is_hit,
             is_beam & ~is_hit if is_soft_hit is None else is_soft_hit,
-            self.l_pass,
-            self.l_hit,
-            self.l_soft,
+            weight * self.l_pass,
+            hit_weight * self.l_hit,
+            hit_weight * self.l_soft,
             self.config.fill_gaps,
             self.config.max_apart_cells,
             self.l_min,
@@ -267,9 +283,9 @@ class OccupancyGrid:
             origin=corner * self.config.resolution_m,
         )
 
-    def _cover(self, origin: FloatArray, end_points: FloatArray) -> None:
+    def _cover(self, origins: FloatArray, end_points: FloatArray) -> None:
         """Grow a fixed grid, doubling, until it holds the beams."""
-        corners = np.vstack([origin[None, :], end_points])
+        corners = np.vstack([origins, end_points])
         low = np.floor(corners.min(axis=0) * self.inv_resolution).astype(np.int64) - 1
         high = np.floor(corners.max(axis=0) * self.inv_resolution).astype(np.int64) + 1
         row0, col0 = self.row0, self.col0
@@ -280,6 +296,12 @@ class OccupancyGrid:
             col0, cols = (col0 - cols if low[0] < col0 else col0), 2 * cols
         if (rows, cols) == self.log_odds.shape:
             return
+        if rows * cols > MOST_CELLS:
+            extent_m = max(rows, cols) * self.config.resolution_m
+            raise SlammotError(
+                f"the map has grown to {extent_m:.0f} m in cells of {self.config.resolution_m:g} m, more than memory"
+                " holds; look for a leap in the trajectory, or take a larger grid.resolution_m"
+            )
         log_odds = np.zeros((rows, cols), dtype=np.float32)
         stamp = np.full((rows, cols), -1, dtype=np.int32)
         i, j = self.row0 - row0, self.col0 - col0

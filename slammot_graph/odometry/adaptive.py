@@ -6,7 +6,8 @@ no robot can make since the scan before is never used.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +15,18 @@ from slammot_graph.core import se2
 from slammot_graph.core.checks import AtLeastOne, Checked, Positive, PositiveShare, Share
 from slammot_graph.core.odometry_report import MotionSource, OdometryReport
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry._motion_kernels import judge_predictions, relative
 from slammot_graph.odometry.calibration import CalibrationConfig, SelfCalibration
+from slammot_graph.odometry.deskew import (
+    MIN_SWEEP_S,
+    beam_times_of,
+    knot_times,
+    relative_poses,
+    sweep_along,
+    sweep_at_velocity,
+)
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.innovation_noise import InnovationNoise, InnovationNoiseConfig
 from slammot_graph.odometry.motion import MatchedPose, Motion
@@ -106,12 +116,13 @@ class AdaptiveOdometry:
         self._scan_s = 0.0
         self._history = OdometryHistory()
         self._record = _Record()
-        self._T_local_before: FloatArray | None = None
+        self._located: dict[int, _Located] = {}
+        self._match_before: dict[int, tuple[float, MatchedPose]] = {}
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
-        history, record = self._history, self._record
-        history.advance(scan.stamp, scan.T_odom_base, scan.odometry)
+        history, record, laser = self._history, self._record, scan.laser.number
+        history.advance(scan.stamp, scan.T_odom_base, scan.odometry, laser)
         before, self._scan_before = self._scan_before, scan
         start_s, self._scan_s = self._scan_s, history.clock.now_s
         if before is None:
@@ -119,12 +130,18 @@ class AdaptiveOdometry:
         told = None
         if scan.T_odom_base is not None and before.T_odom_base is not None:
             told = self._by_odometry(start_s, self._scan_s)
-        record.start_scan(told, self.previous.increment(history.clock))
-        is_possible = told is None or not history.clock.is_steady or self._is_possible(told)
+        told_own, elapsed_s = told, None
+        if before.laser.number != laser:  # the motion since the same laser's scan before is what is judged
+            told_own, own = None, self._located.get(laser)
+            if own is not None and own.has_odometry and scan.T_odom_base is not None:
+                told_own = self._by_odometry(own.time_s, self._scan_s)
+            elapsed_s = max(self._scan_s - start_s, 0.0)
+        record.start_scan(told_own, self.previous.increment(history.clock))
+        is_possible = told_own is None or not history.clock.is_steady or self._is_possible(told_own)
         if told is not None and is_possible and self.source == "odometry":
             motion = told
         else:
-            motion = self.previous.motion(history.clock)
+            motion = self.previous.motion(history.clock, elapsed_s)
         if not is_possible:
             self.calibration.exclude(self._scan_s + self.calibration.now.clock_offset_s.value)
         record.count(use_odometry=motion is told, is_possible=is_possible)
@@ -132,6 +149,19 @@ class AdaptiveOdometry:
             motion = _turned(motion, scan.imu_yaw - before.imu_yaw, self.config.imu_std_rad)
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
         return motion
+
+    def during_sweep(self, scan: Scan) -> SweepMotion:
+        """See `MotionModel`: by the odometry where it is used, and where a robot can have moved so."""
+        times_s = knot_times(beam_times_of(scan))
+        record, previous = self._record, self.previous
+        if scan.T_odom_base is not None and (record.told is None or record.is_odometry_used):
+            by_odometry = self._sweep_by_odometry(times_s)
+            duration_s = max(by_odometry.last_s - by_odometry.first_s, MIN_SWEEP_S)
+            change = duration_s * (by_odometry.velocity - previous.body_velocity(self._history.clock))
+            step_s = self._history.clock.step_s + duration_s
+            if record.told is None or self._is_possible_change(change, duration_s * step_s):
+                return by_odometry
+        return sweep_at_velocity(times_s, previous.body_velocity(self._history.clock), previous.cov_velocity)
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`."""
@@ -147,13 +177,19 @@ class AdaptiveOdometry:
             self.source = "previous motion"  # nothing explains the scan where the odometry leads
         if match is None:
             self.previous.miss()
-        elif self._T_local_before is not None:
-            self._learn(self._T_local_before, match)
-            self._compare_noise(match)
-            if match.is_reliable and record.match is not None and record.match[1].is_reliable:
-                self._calibrate(record.match, (now_s, match))
-        self._T_local_before = T_local_base
-        record.match = None if match is None else (now_s, match)
+        scan = self._scan_before
+        laser = 0 if scan is None else scan.laser.number
+        before = self._match_before.pop(laser, None)
+        if match is not None and laser in self._located:
+            self._learn(self._located[laser].T_local_base, match)
+            if before is not None:
+                self._compare_noise(before[1], match)
+                if match.is_reliable and before[1].is_reliable:
+                    self._calibrate(before, (now_s, match))
+        has_odometry = scan is not None and scan.T_odom_base is not None
+        self._located[laser] = _Located(now_s, T_local_base, has_odometry)
+        if match is not None:
+            self._match_before[laser] = (now_s, match)
 
     @property
     def match_noise_scale(self) -> float:
@@ -192,9 +228,12 @@ class AdaptiveOdometry:
             self._history.pose_at(start_s + offset_s), self._history.pose_at(end_s + offset_s), increment
         )
         increment = now.corrected(increment)
+        return Motion(increment=increment, cov=self._noise_of(increment))
+
+    def _noise_of(self, increment: FloatArray) -> FloatArray:
+        """(3, 3) covariance of an increment (3,) of the odometry, as far as its noise is learnt."""
+        now, config = self.calibration.now, self.config
         cov = self.noise.covariance(increment)
-        self._record.model = float(cov[0, 0]), float(cov[2, 2])
-        config = self.config
         scale_m = min(max(now.noise_scale_m.value, config.min_noise_scale), config.max_noise_scale)
         scale_rad = min(max(now.noise_scale_rad.value, config.min_noise_scale), config.max_noise_scale)
         below_m, below_rad = self.innovations.scales
@@ -205,15 +244,32 @@ class AdaptiveOdometry:
         if scale_m != 1.0 or scale_rad != 1.0:
             scales = np.array([scale_m, scale_m, scale_rad])
             cov = cov * np.outer(scales, scales)
-        return Motion(increment=increment, cov=cov)
+        return cov
+
+    def _sweep_by_odometry(self, times_s: FloatArray) -> SweepMotion:
+        """Give the motion (m,) knots after the scan; beyond the odometry known, the velocity may have changed."""
+        now, history = self.calibration.now, self._history
+        stamp_s = self._scan_s + now.clock_offset_s.value
+        poses = history.going_on(np.append(stamp_s, stamp_s + times_s))
+        T = now.corrected(relative_poses(poses[0], poses[1:]))
+        sweep = sweep_along(times_s, T, self._noise_of(relative_poses(T[0], T[-1:])[0]))
+        ahead_s = stamp_s + sweep.last_s - history.end_s
+        if ahead_s <= 0.0:
+            return sweep
+        share = min(ahead_s / max(sweep.last_s - sweep.first_s, MIN_SWEEP_S), 1.0)
+        return replace(sweep, cov_velocity=sweep.cov_velocity + share**2 * self.previous.cov_velocity)
 
     def _is_possible(self, told: Motion) -> bool:
         """Tell whether a robot can have made a motion, given the one that it made before."""
         step_s = self._history.clock.step_s
-        dx, dy, turn = (told.increment - self._record.previous).tolist()
-        if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * step_s * step_s + 0.05:
+        return self._is_possible_change(told.increment - self._record.previous, step_s * step_s)
+
+    def _is_possible_change(self, change: FloatArray, time_s2: float) -> bool:
+        """Tell whether a motion can differ so (3,) from the one at the velocity before."""
+        dx, dy, turn = change.tolist()
+        if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * time_s2 + 0.05:
             return False
-        return bool(abs(turn) < self.config.max_acceleration_rad_s2 * step_s * step_s + 0.05)
+        return bool(abs(turn) < self.config.max_acceleration_rad_s2 * time_s2 + 0.05)
 
     def _learn(self, T_before: FloatArray, match: MatchedPose) -> None:
         """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""
@@ -246,18 +302,22 @@ class AdaptiveOdometry:
         elif other > config.hysteresis * own:
             self.source = "odometry"
 
-    def _compare_noise(self, match: MatchedPose) -> None:
+    def _compare_noise(self, before: MatchedPose, match: MatchedPose) -> None:
         """Give the difference of two matches in a row and the odometry to the estimate of their noise."""
-        before, told = self._record.match, self._record.told
-        if before is None or told is None or not self._record.is_odometry_used:
+        told = self._record.told
+        if told is None or not self._record.is_odometry_used:
             return
         xx, _, _, _, yy, _, _, _, variance_rad2 = match.cov.ravel().tolist()
         if not max(xx, yy, variance_rad2) < MAX_MATCH_VARIANCE:
             return
         found = np.empty(3)
-        relative(before[1].T_local_base, match.T_local_base, found)
+        relative(before.T_local_base, match.T_local_base, found)
+        model = self.noise.covariance(told.increment)
         self.innovations.add(
-            found - told.increment, told.increment, self._record.model, (0.5 * (xx + yy), variance_rad2)
+            found - told.increment,
+            told.increment,
+            (float(model[0, 0]), float(model[2, 2])),
+            (0.5 * (xx + yy), variance_rad2),
         )
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
@@ -269,8 +329,9 @@ class AdaptiveOdometry:
         cov = before[1].cov_independent + after[1].cov_independent
         xx, _, _, _, yy, _, _, _, variance_rad2 = cov.ravel().tolist()
         variances = 0.5 * (xx + yy), variance_rad2
+        laser = 0 if self._scan_before is None else self._scan_before.laser.number
         self.calibration.add(
-            (before[0], after[0]), increment, variances, after[1].T_local_base, self._history
+            (before[0], after[0]), increment, variances, after[1].T_local_base, self._history, laser
         )
 
 
@@ -281,6 +342,14 @@ def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:
     cov[2, :] = cov[:, 2] = 0.0
     cov[2, 2] = std_rad * std_rad
     return Motion(increment=increment, cov=cov)
+
+
+class _Located(NamedTuple):
+    """The latest scan of a laser: its time [s], where the base was found (3,), and whether it had odometry."""
+
+    time_s: float
+    T_local_base: FloatArray
+    has_odometry: bool
 
 
 class _Record:
@@ -294,8 +363,6 @@ class _Record:
         self.is_odometry_used = True
         self.is_possible = True
         self.told: Motion | None = None
-        self.model = (0.0, 0.0)  # variances of what was told by the noise model [m^2, rad^2]
-        self.match: tuple[float, MatchedPose] | None = None  # at the scan before, and its time
         self.previous: FloatArray = np.zeros(3)
         # share of returns that agree with the matches
         self.agreement = _RunningMeans(1)

@@ -117,7 +117,7 @@ class SelfCalibration:
         As best known.
     """
 
-    _N_COLUMNS = 10  # times before and after, increment (3), variances [m^2, rad^2], pose after (3)
+    _N_COLUMNS = 11  # times before and after, increment (3), variances [m^2, rad^2], pose after (3), laser
 
     def __init__(self, config: CalibrationConfig, noise: OdometryNoise | ConstantNoise) -> None:
         self.config = config
@@ -143,8 +143,9 @@ class SelfCalibration:
         variances: tuple[float, float],
         T_local_base: FloatArray,
         history: OdometryHistory,
+        laser: int = 0,
     ) -> None:
-        """Take in the increment (3,) between two matched scans, and fit where it is time to.
+        """Take in the increment (3,) between two matched scans of a laser, and fit where it is time to.
 
         Parameters
         ----------
@@ -156,12 +157,14 @@ class SelfCalibration:
         T_local_base : (3,) array
             The later matched pose, local frame.
         history : OdometryHistory
+        laser : int
+            Which laser took both scans.
         """
         if self._n == len(self._rows):
             half = self.config.n_kept
             self._rows[:half] = self._rows[half:]
             self._n = half
-        self._rows[self._n] = (*times_s, *increment.tolist(), *variances, *T_local_base.tolist())
+        self._rows[self._n] = (*times_s, *increment.tolist(), *variances, *T_local_base.tolist(), laser)
         self._n += 1
         self._n_seen += 1
         if self._n_seen >= self._next_fit:
@@ -172,6 +175,7 @@ class SelfCalibration:
     def fit(self, history: OdometryHistory) -> None:
         """Fit all parameters to the increments kept."""
         rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
+        rows = rows[np.argsort(rows[:, -1], kind="stable")]  # the scans of each laser follow each other
         offset = self._fit_offset(rows, history)
         config = self.config
         windows = Windows(rows, offset.value, history, length_m=config.window_m, max_size=config.max_window)

@@ -5,7 +5,9 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.deskew import beam_times_of, knot_times, sweep_at_velocity, sweep_by_track
 from slammot_graph.odometry.history import ScanClock
 from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
@@ -48,6 +50,15 @@ class OdometryOrPreviousMotion:
             motion = Motion(increment=increment, cov=self.noise.covariance(increment))
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
         return motion
+
+    def during_sweep(self, scan: Scan) -> SweepMotion:
+        """See `MotionModel`: by the odometry around the scan, or at the velocity before where there is none."""
+        times_s = knot_times(beam_times_of(scan))
+        if scan.T_odom_base is not None and scan.odometry is not None:
+            return sweep_by_track(times_s, scan.stamp, scan.odometry, self.noise)
+        return sweep_at_velocity(
+            times_s, self.previous.body_velocity(self._clock), self.previous.cov_velocity
+        )
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`; the previous motion learns from what was found, by whichever match."""

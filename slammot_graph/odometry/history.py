@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
+from slammot_graph.core import se2
 from slammot_graph.core.odometry_track import OdometryTrack
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.types import FloatArray, IntArray
 
 MAX_STEP_RATIO = 20.0
 """A step of the stamps that is no step forward, or longer than this many usual ones, tells nothing of time."""
@@ -18,6 +19,10 @@ USUAL_GAIN = 0.05
 
 FIRST_STEP_S = 0.1
 """Time between two scans as long as none is known [s]."""
+
+
+MOST_ACCELERATION: FloatArray = np.array([10.0, 10.0, 30.0])
+"""Velocities of the odometry that change by more [m/s^2, m/s^2, rad/s^2] are none of a robot."""
 
 
 class ScanClock:
@@ -45,6 +50,17 @@ class ScanClock:
         self._was_usual = False
         self._usual_s = math.nan
         self._stamp = math.nan
+        self._has_start = False
+
+    @property
+    def is_started(self) -> bool:
+        """Whether there was a scan."""
+        return not math.isnan(self._stamp)
+
+    def start(self, first_stamp: float, stamp: float) -> None:
+        """Count from another clock's first stamp, until a first scan at `stamp`."""
+        self.first_stamp, self.now_s = first_stamp, max(stamp - first_stamp, 0.0)
+        self._has_start = True
 
     @property
     def usual_s(self) -> float:
@@ -63,7 +79,7 @@ class ScanClock:
             gain = 1.0 if math.isnan(self._usual_s) else USUAL_GAIN
             self._usual_s = usual_s + gain * (min(step_s, MAX_STEP_RATIO * usual_s) - usual_s)
         if math.isnan(self._stamp):
-            self.first_stamp = stamp
+            self.first_stamp = self.first_stamp if self._has_start else stamp
         else:
             self.now_s += step_s if self.is_regular else usual_s
         self._stamp = stamp
@@ -74,18 +90,29 @@ class ScanClock:
         self.step_s = step_s if is_usual or is_gap else usual_s
 
 
+def _tangent(
+    own: FloatArray, before: FloatArray, before_s: FloatArray, after: FloatArray, after_s: FloatArray
+) -> FloatArray:
+    """(n, 3) velocities between two intervals (n, 1) [s] with their mean velocities; `own` where none is possible."""
+    between = (after_s * before + before_s * after) / (before_s + after_s)
+    change, most = np.abs(after - before), 0.5 * (before_s + after_s) * MOST_ACCELERATION
+    return np.where((change <= most).all(axis=1, keepdims=True), between, own)
+
+
 class OdometryHistory:
     """Odometry poses of the whole log where it gives them, else those at the scans so far, in the order of the log.
 
     Attributes
     ----------
     clock : ScanClock
+        Of the laser that took the latest scan: scans of several lasers may come at any time after each other.
     """
 
     N_KEPT = 4096
 
     def __init__(self) -> None:
         self.clock = ScanClock()
+        self._clocks = {0: self.clock}
         self._track: OdometryTrack | None = None
         self._timed_track: OdometryTrack | None = None
         self._track_times: FloatArray = np.zeros(0)
@@ -93,7 +120,9 @@ class OdometryHistory:
         self._poses = np.zeros((2 * self.N_KEPT, 3))
         self._n = 0
 
-    def advance(self, stamp: float, T_odom_base: FloatArray | None, track: OdometryTrack | None) -> None:
+    def advance(
+        self, stamp: float, T_odom_base: FloatArray | None, track: OdometryTrack | None, laser: int = 0
+    ) -> None:
         """Move on to the next scan.
 
         Parameters
@@ -103,7 +132,10 @@ class OdometryHistory:
             Its odometry; None leaves a gap.
         track : OdometryTrack or None
             The odometry of the whole log, on the clock of the stamps.
+        laser : int
+            Which laser took the scan.
         """
+        self.clock = self._clock_of(stamp, laser)
         self.clock.advance(stamp, has_track=track is not None)
         self._track = track
         if T_odom_base is None:
@@ -116,9 +148,22 @@ class OdometryHistory:
         if self._n:
             before = float(self._poses[self._n - 1, 2])
             theta = before + math.remainder(theta - before, 2.0 * math.pi)
-        self._times[self._n] = self.clock.now_s
+        now_s = self.clock.now_s
+        if self._n and len(self._clocks) > 1:
+            now_s = max(now_s, float(self._times[self._n - 1]))
+        self._times[self._n] = now_s
         self._poses[self._n] = x, y, theta
         self._n += 1
+
+    def _clock_of(self, stamp: float, laser: int) -> ScanClock:
+        """The clock of a laser; that of one not seen before starts where those of the others are."""
+        clock = self._clocks.get(laser)
+        if clock is None:
+            clock = ScanClock()
+            if self.clock.is_started:
+                clock.start(self.clock.first_stamp, stamp)
+            self._clocks[laser] = clock
+        return clock
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """(n, 3) poses at times (n,) of the clock; beyond the latest one known the latest motion goes on.
@@ -133,6 +178,47 @@ class OdometryHistory:
                 speed = (poses[-1] - poses[-2]) / max(times[-1] - times[-2], 1e-6)
                 out += ahead_s[:, None] * speed
         return out
+
+    def going_on(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3) poses at times (n,), between those known by a smooth motion (cubic Hermite).
+
+        Beyond the latest one known the latest velocity in the body frame goes on. Theta is unwrapped.
+        """
+        poses, ahead_s = self._between(np.minimum(times_s, self.end_s)), np.maximum(times_s - self.end_s, 0.0)
+        times, known = self._samples()
+        if len(times) < 2 or not ahead_s.any():
+            return poses
+        velocity = se2.log(se2.between(known[-2], known[-1])) / max(times[-1] - times[-2], 1e-6)
+        moved = se2.compose(poses, se2.exp(ahead_s[:, None] * velocity))
+        moved[:, 2] = poses[:, 2] + ahead_s * velocity[2]
+        return moved
+
+    def _between(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3) poses at times (n,), at velocities that change steadily where a robot's can; else at constant ones."""
+        times, poses = self._samples()
+        if len(times) < 3:
+            return self.at(times_s)
+        last = len(times) - 2
+        i = np.clip(np.searchsorted(times, times_s, side="right") - 1, 0, last)
+
+        def secant(k: IntArray) -> tuple[FloatArray, FloatArray]:
+            step_s = np.maximum(times[k + 1] - times[k], 1e-6)[:, None]
+            return (poses[k + 1] - poses[k]) / step_s, step_s
+
+        (before, before_s), (own, own_s), (after, after_s) = map(
+            secant, (np.maximum(i - 1, 0), i, np.minimum(i + 1, last))
+        )
+        start = _tangent(own, before, before_s, own, own_s)
+        end = _tangent(own, own, own_s, after, after_s)
+        u = np.clip((times_s - times[i])[:, None] / own_s, 0.0, 1.0)
+        bent: FloatArray = u * (1.0 - u) * own_s * ((1.0 - u) * (start - own) - u * (end - own))
+        return poses[i] + u * own_s * own + bent
+
+    @property
+    def end_s(self) -> float:
+        """Time of the latest pose known [s]; minus infinity where none is."""
+        times, _ = self._samples()
+        return float(times[-1]) if len(times) else -math.inf
 
     def pose_at(self, time_s: float) -> FloatArray:
         """(3,) pose at one time of the clock; see `at`."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry._motion_kernels import learn_velocity, prediction_error2
@@ -114,24 +115,34 @@ class PreviousMotion:
         """(3,) standard deviation of the velocity's change from scan to scan."""
         return np.asarray(np.sqrt(self.velocity.var_change))
 
+    @property
+    def cov_velocity(self) -> FloatArray:
+        """(3, 3) covariance of the velocity after the latest scan; after scans that were not matched it is larger."""
+        velocity = self.velocity
+        return np.diag((1 + self._n_missed) ** 2 * (velocity.var_change + velocity.var))
+
+    def body_velocity(self, clock: ScanClock) -> FloatArray:
+        """(3,) constant velocity in the body frame that makes the increment of the latest step."""
+        step_s = self._step_s(clock)
+        return se2.log(step_s * self.velocity.value) / step_s
+
     def increment(self, clock: ScanClock) -> FloatArray:
         """(3,) motion over the latest step of the clock."""
         return min(self._step_s(clock), MAX_STEP_S) * self.velocity.value
 
-    def motion(self, clock: ScanClock) -> Motion:
-        """Predict the motion over the latest step of the clock.
+    def motion(self, clock: ScanClock, elapsed_s: float | None = None) -> Motion:
+        """Predict the motion over the latest step of the clock, or over the time since another laser's scan.
 
         After scans that were not matched it is known less well. Over a gap the robot may have stopped, or gone on for
         the whole of it.
         """
-        velocity, step_s = self.velocity, self._step_s(clock)
+        velocity, step_s = self.velocity, self._step_s(clock) if elapsed_s is None else elapsed_s
         spread_s = (1 + self._n_missed) * step_s
         var = spread_s * spread_s * (velocity.var_change + velocity.var) + 2.0 * spread_s * velocity.cross
-        gap_s = step_s - clock.usual_s
         if step_s > USUAL_RATIO * clock.usual_s:
-            var = var + np.square(gap_s * velocity.value)
+            var = var + np.square((step_s - clock.usual_s) * velocity.value)
             var[:2] = var[:2].max()  # it may have turned meanwhile
-        return Motion(increment=self.increment(clock), cov=np.diag(var))
+        return Motion(increment=min(step_s, MAX_STEP_S) * velocity.value, cov=np.diag(var))
 
     def learn(self, increment: FloatArray, cov: FloatArray, clock: ScanClock) -> None:
         """Take in an increment (3,) over the latest step that a match found, and its covariance (3, 3)."""

@@ -12,7 +12,10 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.deskew import beam_times_of, knot_times, sweep_at_velocity, sweep_by_track
+from slammot_graph.odometry.history import ScanClock
 from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 
@@ -34,6 +37,9 @@ class MotionModel(Protocol):
 
     def advance(self, scan: Scan) -> Motion | None:
         """Move on to the next scan: the motion since the one before, None at the first."""
+
+    def during_sweep(self, scan: Scan) -> SweepMotion:
+        """Give the motion during the sweep of the scan of the last `advance`, which has beam times."""
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """Take in where the base was found at the scan of the last `advance`, local frame (3,), and by which match.
@@ -61,6 +67,8 @@ class WheelOdometry:
         self.noise = noise
         self.T_odom_base: FloatArray = se2.IDENTITY
         self._is_first = True
+        self._clock = ScanClock()
+        self._latest: Motion | None = None
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`.
@@ -76,11 +84,25 @@ class WheelOdometry:
                 " scans, as `graph`"
             )
         before, self.T_odom_base = self.T_odom_base, scan.T_odom_base
+        self._clock.advance(scan.stamp)
         if self._is_first:
             self._is_first = False
             return None
         increment = se2.between(before, self.T_odom_base)
-        return Motion(increment=increment, cov=self.noise.covariance(increment))
+        self._latest = Motion(increment=increment, cov=self.noise.covariance(increment))
+        return self._latest
+
+    def during_sweep(self, scan: Scan) -> SweepMotion:
+        """See `MotionModel`: by the odometry around the scan, or at the velocity before where that is not known."""
+        times_s = knot_times(beam_times_of(scan))
+        if scan.odometry is not None:
+            return sweep_by_track(times_s, scan.stamp, scan.odometry, self.noise)
+        if self._latest is None:
+            return sweep_at_velocity(times_s, np.zeros(3), np.zeros((3, 3)))
+        step_s = self._clock.step_s
+        return sweep_at_velocity(
+            times_s, se2.log(self._latest.increment) / step_s, self._latest.cov / step_s**2
+        )
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         """See `MotionModel`; nothing is learnt."""

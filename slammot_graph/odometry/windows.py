@@ -65,7 +65,15 @@ def usual_step(rows: FloatArray) -> float:
 
 
 def smoothed_rows(rows: FloatArray) -> FloatArray:
-    """Rows whose increments are those between smoothed matched poses; those with neighbours on both sides only."""
+    """Rows whose increments are those between smoothed matched poses; those with neighbours on both sides only.
+
+    The last column says which laser a row is of; the rows of each stand together.
+    """
+    starts = np.flatnonzero(np.diff(rows[:, 10])) + 1 if rows.shape[1] > 10 else np.empty(0, dtype=np.int64)
+    return np.concatenate([_smoothed(part) for part in np.split(rows, starts)])
+
+
+def _smoothed(rows: FloatArray) -> FloatArray:
     times, poses = rows[:, 1], rows[:, 7:10].copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
     offsets = SMOOTHING * usual_step(rows)

@@ -17,7 +17,7 @@ def residual_scatter(
     first: int,
     points: FloatArray,
     is_used: BoolArray,
-    laser: FloatArray,
+    lasers: FloatArray,
     T: FloatArray,
     reach2: float,
     kernel_scale2: float,
@@ -44,8 +44,9 @@ def residual_scatter(
     by_keyframe = np.zeros((keyframes.shape[0], 3, 3))
     c = math.cos(T[2])
     s = math.sin(T[2])
-    laser_x = T[0] + c * laser[0] - s * laser[1]
-    laser_y = T[1] + s * laser[0] + c * laser[1]
+    is_swept = lasers.shape[0] > 1
+    laser_x = T[0] + c * lasers[0, 0] - s * lasers[0, 1]
+    laser_y = T[1] + s * lasers[0, 0] + c * lasers[0, 1]
     white[:] = 0.0
     common[:] = 0.0
     row = np.zeros(3)
@@ -84,6 +85,9 @@ def residual_scatter(
             own[1, 2] += w * px
             own[2, 2] += w * (px * px + py * py)
             continue
+        if is_swept:
+            laser_x = T[0] + c * lasers[k, 0] - s * lasers[k, 1]
+            laser_y = T[1] + s * lasers[k, 0] + c * lasers[k, 1]
         if nx * (laser_x - map_points[m, 0]) + ny * (laser_y - map_points[m, 1]) < 0.0:
             continue
         r = nx * dx + ny * dy

@@ -43,7 +43,7 @@ def accumulate(
     first: int,
     points: FloatArray,
     is_used: BoolArray,
-    laser: FloatArray,
+    lasers: FloatArray,
     T: FloatArray,
     reach2: float,
     kernel_scale2: float,
@@ -54,7 +54,8 @@ def accumulate(
 ) -> None:
     """Normal equations of the point-to-line match at pose T (right perturbation, body frame).
 
-    A line that shows `laser` (2,), given in the base frame, its back makes no pair: it is the wall's other side.
+    A line that shows the laser its back makes no pair: it is the wall's other side. `lasers`, (1, 2) or (n, 2), is
+    where all points, or each, were seen from, base frame.
     Row of a pair: ``n' R [I | (-py, px)']``, weighted by Geman-McClure ``(s^2 / (s^2 + r^2))^2``; where the map's
     point has no normal, both axes of the offset count, `point_weight` times as much. `stats` gets
     the number of points used, of pairs, the sum of weights, the weighted sum of squared residuals.
@@ -63,8 +64,9 @@ def accumulate(
     wrap = map_points.shape[0] - 1
     c = math.cos(T[2])
     s = math.sin(T[2])
-    laser_x = T[0] + c * laser[0] - s * laser[1]
-    laser_y = T[1] + s * laser[0] + c * laser[1]
+    is_swept = lasers.shape[0] > 1
+    laser_x = T[0] + c * lasers[0, 0] - s * lasers[0, 1]
+    laser_y = T[1] + s * lasers[0, 0] + c * lasers[0, 1]
     h00 = h01 = h02 = h11 = h12 = h22 = 0.0
     g0 = g1 = g2 = 0.0
     n_used = n_pairs = 0
@@ -106,6 +108,9 @@ def accumulate(
             g1 += w * ey
             g2 += w * (px * ey - py * ex)
             continue
+        if is_swept:
+            laser_x = T[0] + c * lasers[k, 0] - s * lasers[k, 1]
+            laser_y = T[1] + s * lasers[k, 0] + c * lasers[k, 1]
         if nx * (laser_x - map_points[m, 0]) + ny * (laser_y - map_points[m, 1]) < 0.0:
             continue
         r = nx * dx + ny * dy
@@ -150,7 +155,7 @@ def match_point_to_line(
     first: int,
     points: FloatArray,
     is_used: BoolArray,
-    laser: FloatArray,
+    lasers: FloatArray,
     T_start: FloatArray,
     T_prior: FloatArray,
     prior_information: FloatArray,
@@ -189,7 +194,7 @@ def match_point_to_line(
             first,
             points,
             is_used,
-            laser,
+            lasers,
             T,
             reach2,
             scale2,
@@ -229,7 +234,7 @@ def match_point_to_line(
         first,
         points,
         is_used,
-        laser,
+        lasers,
         T,
         reach2,
         scale2,

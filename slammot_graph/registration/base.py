@@ -76,8 +76,8 @@ class Matcher(Protocol[ReferenceT_contra]):
         points_base : (n, 2) array [m]
         is_static : (n,) bool array
             Points to use.
-        laser_base : (2,) array
-            Where they were seen from, base frame [m].
+        laser_base : (2,), (1, 2) or (n, 2) array
+            Where all or each were seen from, base frame [m].
         prior : MatchPrior
         kernel_factor : float
             A robust kernel, if there is one, is made narrower by this.

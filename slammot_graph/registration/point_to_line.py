@@ -151,8 +151,8 @@ def match_to_local_map(
     points_base : (n, 2) array [m]
     is_static : (n,) bool array
         Points to use.
-    laser_base : (2,) array
-        Where they were seen from, base frame [m]: a wall's other side is no partner. NaN: from anywhere.
+    laser_base : (2,), (1, 2) or (n, 2) array
+        Where all or each were seen from, base frame [m]: a wall's other side is no partner. NaN: from anywhere.
     local_map : LocalMap
     T_local_base : (3,) array
         Predicted base in the local frame: the start, and the mean of the prior.
@@ -170,6 +170,7 @@ def match_to_local_map(
     (3, 3) array
         Its covariance relative to the anchor (body frame), without `MatchResult.cov_correlated`.
     """
+    laser_base = laser_base.reshape(-1, 2)
     prior = invert(cov_predicted)
     best = _solve(points_base, is_static, laser_base, local_map, T_local_base, T_local_base, prior, config)
     if best.inlier_ratio < config.min_inlier_ratio or best.stats[1] < config.min_pairs:

@@ -1,14 +1,17 @@
 """``covariances.npz``: the covariance of each pose, and the scan of each graph node."""
 
+import zlib
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import check_npz
 from slammot_graph.core.results import RunResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.run_folder.atomic import write_arrays
+from slammot_graph.run_folder.points import MORE_DAMAGE
 
 
 def write_covariances(path: Path, result: RunResult) -> None:
@@ -35,11 +38,17 @@ def read_covariances(path: Path) -> tuple[FloatArray, FloatArray]:
     InputError
         The file is not what a run writes.
     """
+    check_npz(path)
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             stamps, cov_map = np.asarray(file["stamps"], float), np.asarray(file["cov_map"], float)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, BadZipFile):
+    except (OSError, ValueError, TypeError, EOFError, BadZipFile, zlib.error, *MORE_DAMAGE):
         raise InputError(f"{path}: not an .npz file of `stamps` and `cov_map`; run it again") from None
-    if cov_map.shape != (len(stamps), 3, 3):
-        raise InputError(f"{path}: `cov_map` has shape {cov_map.shape}, not {(len(stamps), 3, 3)}")
+    if stamps.ndim != 1 or cov_map.shape != (len(stamps), 3, 3):
+        raise InputError(
+            f"{path}: `cov_map` has shape {cov_map.shape}, `stamps` {stamps.shape}; run it again"
+        )
+    with np.errstate(invalid="ignore"):
+        if (np.diagonal(cov_map, axis1=1, axis2=2) < 0.0).any():
+            raise InputError(f"{path}: `cov_map` holds negative variances; run it again")
     return stamps, cov_map

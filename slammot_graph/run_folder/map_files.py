@@ -1,6 +1,7 @@
 """``map.pgm`` and ``map.yaml``: a map of three states in the format of ROS map_server."""
 
 import math
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import MOST_SETTINGS_BYTES, check_regular
+from slammot_graph.core.number_rows import MOST_SENSIBLE
 from slammot_graph.core.results import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from slammot_graph.run_folder.atomic import replacing, write_text
 
@@ -17,6 +20,8 @@ FREE_THRESH = 0.196
 """Of ``map.yaml``: map_server reads grey 205 as 50 / 255 = 0.19608, so with 0.2 unknown cells became free."""
 DEFAULT_FREE_THRESH, DEFAULT_OCCUPIED_THRESH = 0.196, 0.65
 """What map_server takes where a ``map.yaml`` has no thresholds."""
+MOST_CELLS = 100_000_000
+"""Of a picture that is read."""
 EMPTY_RESOLUTION_M = 0.05
 """Cell size of the map of a folder that has none."""
 
@@ -44,6 +49,7 @@ def read_map(path: Path) -> GridMap:
     """
     if not path.exists():
         return GridMap(p_occupied=np.zeros((0, 0)), resolution_m=EMPTY_RESOLUTION_M, origin=np.zeros(2))
+    check_regular(path, MOST_SETTINGS_BYTES)
     try:
         keys = dict(_yaml_lines(path.read_text(encoding="utf-8").splitlines()))
         resolution_m = float(keys["resolution"])
@@ -52,10 +58,12 @@ def read_map(path: Path) -> GridMap:
         free_below = float(keys.get("free_thresh", DEFAULT_FREE_THRESH))
         occupied_above = float(keys.get("occupied_thresh", DEFAULT_OCCUPIED_THRESH))
         image = path.parent / keys["image"]
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, OverflowError):
         raise InputError(f"{path}: not a map of ROS map_server (image, resolution, origin)") from None
     if yaw != 0.0 or not 0.0 < resolution_m < math.inf:
         raise InputError(f"{path}: a map that is turned or has no size cannot be shown; remove it")
+    if not (abs(x) < MOST_SENSIBLE and abs(y) < MOST_SENSIBLE and math.isfinite(free_below + occupied_above)):
+        raise InputError(f"{path}: its origin or its thresholds are no sensible numbers; run it again")
     grey = np.flipud(_read_image(image)).astype(np.float64)  # row 0 of the image is the top
     shade = (grey if negate else 255.0 - grey) / 255.0
     p_occupied = np.where(shade > occupied_above, 1.0, np.where(shade < free_below, 0.0, np.nan))
@@ -95,8 +103,22 @@ def _yaml_lines(lines: Iterable[str]) -> Iterator[tuple[str, str]]:
 def _read_image(path: Path) -> npt.NDArray[np.uint8]:
     from PIL import Image
 
+    check_regular(path)
     try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("L"))
-    except (OSError, ValueError, SyntaxError):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path) as image:
+                n_cols, n_rows = image.size
+                if n_cols * n_rows > MOST_CELLS:
+                    raise InputError(
+                        f"{path}: a picture of {n_cols} x {n_rows} cells, more than the {MOST_CELLS // 10**6} million"
+                        " that a map may have; cut it, or make it coarser"
+                    )
+                return np.asarray(image.convert("L"))
+    except Image.DecompressionBombError:
+        raise InputError(
+            f"{path}: a picture of more cells than the {MOST_CELLS // 10**6} million that a map may have; cut it, or"
+            " make it coarser"
+        ) from None
+    except (OSError, ValueError, SyntaxError, MemoryError, OverflowError, TypeError):
         raise InputError(f"{path}: not a picture that can be read; run it again") from None

@@ -7,9 +7,21 @@ from zipfile import BadZipFile
 import numpy as np
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import check_npz
 from slammot_graph.core.results import RunResult
 from slammot_graph.core.saved_run import PointLabels
 from slammot_graph.run_folder.atomic import write_arrays
+
+MORE_DAMAGE = (
+    AttributeError,
+    OverflowError,
+    MemoryError,
+    NotImplementedError,
+    RecursionError,
+    SyntaxError,
+    KeyError,
+)
+"""What NumPy and zipfile may raise beside, of a file with a damaged header."""
 
 _KINDS = {"stamps": "f", "is_valid": "b", "is_moving": "b", "is_moving_online": "b", "p_moving": "f"}
 
@@ -29,6 +41,7 @@ def write_points(path: Path, result: RunResult) -> None:
         is_moving=result.is_moving,
         is_moving_online=result.is_moving_online,
         p_moving=np.asarray(result.p_moving, dtype=np.float16),
+        laser=np.zeros(len(result.stamps), dtype=np.int64) if result.laser is None else result.laser,
     )
 
 
@@ -41,6 +54,7 @@ def read_points(path: str | Path) -> PointLabels:
         The file is missing or is not what a run writes; the text names the fault.
     """
     path = Path(path)
+    check_npz(path)
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             missing = [name for name in _KINDS if name not in file]
@@ -49,7 +63,7 @@ def read_points(path: str | Path) -> PointLabels:
             arrays = {name: np.asarray(file[name]) for name in _KINDS}
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
-    except (ValueError, EOFError, BadZipFile, zlib.error, TypeError, AttributeError):
+    except (ValueError, EOFError, BadZipFile, zlib.error, TypeError, *MORE_DAMAGE):
         raise InputError(f"{path}: not a complete .npz file of plain arrays; run it again") from None
     shape = arrays["is_valid"].shape
     for name, array in arrays.items():

@@ -12,6 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import MOST_SETTINGS_BYTES, check_regular
 from slammot_graph.core.results import Health, RunResult
 from slammot_graph.core.strict_json import strict_json
 from slammot_graph.core.types import FloatArray
@@ -93,9 +94,10 @@ def read_summary(path: Path) -> Mapping[str, Any]:
     """
     if not path.exists():
         return {}
+    check_regular(path, MOST_SETTINGS_BYTES)
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         summary = None
     if not isinstance(summary, dict):
         raise InputError(f"{path}: not the JSON of a run's summary; remove it or run again")

@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.files import MOST_TEXT_BYTES, check_regular
+from slammot_graph.core.number_rows import MOST_SENSIBLE
 from slammot_graph.core.results import TRACK_COLUMNS, RunResult
 from slammot_graph.core.stamps import STAMP_TOLERANCE_S, nearest_stamps
 from slammot_graph.core.types import FloatArray
@@ -80,16 +82,28 @@ def read_track_columns(path: Path, columns: tuple[str, ...]) -> FloatArray:
     """Read columns of numbers (k, len(columns)); otherwise as `read_tracks`."""
     if not path.exists():
         return np.zeros((0, len(columns)))
+    check_regular(path, MOST_TEXT_BYTES)
     rows: list[list[float]] = []
     try:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
+            if reader.fieldnames and not set(REQUIRED_COLUMNS) <= set(reader.fieldnames):
+                raise KeyError  # a file without a heading
             known = {*REQUIRED_COLUMNS, *(reader.fieldnames or ())}
             rows.extend([float(row[x]) if x in known else math.nan for x in columns] for row in reader)
     except (OSError, ValueError, KeyError, TypeError, csv.Error):
         place = f"{path}, line {len(rows) + 2}"
         raise InputError(f"{place}: expected numbers in the columns {', '.join(REQUIRED_COLUMNS)}") from None
-    return np.array(rows, dtype=np.float64).reshape(-1, len(columns))
+    tracks = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
+    is_place = [name in REQUIRED_COLUMNS for name in columns]
+    is_variance = [name.startswith("var_") for name in columns]
+    with np.errstate(invalid="ignore"):
+        is_sensible = (np.abs(tracks[:, is_place]) < MOST_SENSIBLE).all(axis=1)
+        is_sensible &= ~(tracks[:, is_variance] < 0.0).any(axis=1)
+    if not is_sensible.all():
+        place = f"{path}, line {int(np.argmin(is_sensible)) + 2}"
+        raise InputError(f"{place}: a place out of any sense or a negative variance; run it again")
+    return tracks
 
 
 def _number(value: float) -> str:

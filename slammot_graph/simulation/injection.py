@@ -10,9 +10,10 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.logs import LaserLog
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.simulation.free_space import MAX_CLEARANCE_M, FreeSpace, connected_free_space
-from slammot_graph.simulation.laser import cast_rays
+from slammot_graph.simulation.laser import cast_rays, cast_sweeps
 from slammot_graph.simulation.log import SimulatedLog
 from slammot_graph.simulation.people import PeopleConfig, circles, walk
+from slammot_graph.simulation.sweeps import circles_during_sweeps, poses_between
 
 RESOLUTION_M = 0.1
 RANGE_STD_M = 0.01
@@ -95,7 +96,7 @@ def inject_along(
     walkers, noise = np.random.default_rng(seed).spawn(2)
     objects = np.full((len(base.stamps), 0, 4), np.nan)
     for stream in walkers.spawn(MAX_ALONG):
-        shapes, _ = circles(objects, base.stamps, config)
+        shapes, _ = base.shapes(objects, config)
         if np.count_nonzero(base.is_shortened(shapes)[0]) >= share * np.count_nonzero(is_valid):
             break
         another = walk(_NOWHERE, base.stamps, base.T_map_base, 1, config, stream)
@@ -127,22 +128,36 @@ class _Base:
         self.scans = [scans[k] for k in kept]
         self.T_map_base = T_map_base[kept]
         self.laser: LaserModel = self.scans[0].laser
+        self.beam_times = self.scans[0].beam_times
         self.stamps = np.array([scan.stamp for scan in self.scans])
         self.ranges = np.array([scan.ranges for scan in self.scans])
         odometry = [scan.T_odom_base for scan in self.scans]
         self.T_odom_base = np.array([np.full(3, np.nan) if pose is None else pose for pose in odometry])
 
+    def shapes(self, objects: FloatArray, config: PeopleConfig) -> tuple[FloatArray, IntArray]:
+        """Circles of people (n, p, 4) as `is_shortened` takes them, and whose each is."""
+        if self.beam_times is None:
+            return circles(objects, self.stamps, config)
+        return circles_during_sweeps(objects, self.stamps, self.beam_times, config)
+
     def is_shortened(self, shapes: FloatArray) -> tuple[BoolArray, FloatArray, IntArray]:
         """Beams that meet a circle before what was recorded, with the distance and the circle."""
-        T_map_laser = se2.compose(self.T_map_base, np.array(self.laser.T_base_laser))
-        distance, hit = cast_rays(T_map_laser, self.laser, np.empty((0, 4)), shapes)
+        T_base_laser = np.array(self.laser.T_base_laser)
+        if self.beam_times is None:
+            T_map_laser = se2.compose(self.T_map_base, T_base_laser)
+            distance, hit = cast_rays(T_map_laser, self.laser, np.empty((0, 4)), shapes)
+        else:
+            T_map_laser = se2.compose(
+                poses_between(self.T_map_base, self.stamps, self.beam_times), T_base_laser
+            )
+            distance, hit = cast_sweeps(T_map_laser, self.laser, np.empty((0, 4)), shapes)
         recorded = np.where(np.isfinite(self.ranges) & (self.ranges > 0.0), self.ranges, np.inf)
         return (hit >= 0) & (distance < recorded) & (distance > self.laser.range_min), distance, hit
 
     def with_people(
         self, objects: FloatArray, config: PeopleConfig, rng: np.random.Generator
     ) -> SimulatedLog:
-        shapes, person = circles(objects, self.stamps, config)
+        shapes, person = self.shapes(objects, config)
         is_moving, distance, hit = self.is_shortened(shapes)
         noisy = distance + RANGE_STD_M * rng.standard_normal(distance.shape)
         with np.errstate(invalid="ignore"):
@@ -160,6 +175,7 @@ class _Base:
             if len(person)
             else np.full_like(hit, -1),
             objects=objects,
+            time_increment_s=0.0 if self.beam_times is None else float(np.mean(np.diff(self.beam_times))),
         )
 
 

@@ -29,7 +29,7 @@ class SimulatedLaser:
     model : LaserModel
         Beams, limits and mounting.
     rate_hz : float
-        Scans per second, within `rate_limits_hz`. A scan is a snapshot: all its beams share one stamp and pose.
+        Scans per second, within `rate_limits_hz`.
     rate_limits_hz : (float, float)
     noise_std_m : float
         Standard deviation of the Gaussian range noise [m].
@@ -45,6 +45,9 @@ class SimulatedLaser:
         Surfaces further apart than this are told apart: the nearer one returns [m].
     no_return_m : float
         What a beam without a return reads [m]; `range_max` or infinity.
+    sweep : float
+        Share of the time from scan to scan in which its beams are sent out one after the other; 0: a snapshot, all
+        beams share one stamp and pose.
     """
 
     name: str
@@ -58,6 +61,7 @@ class SimulatedLaser:
     footprint_rad: float = 0.0
     max_mixed_gap_m: float = 1.5
     no_return_m: float = float("inf")
+    sweep: float = 0.0
 
     def __post_init__(self) -> None:
         low, high = self.rate_limits_hz
@@ -69,7 +73,7 @@ class SimulatedLaser:
             value = getattr(self, key)
             if not 0.0 <= value < np.inf:
                 raise ConfigError(f"{self.name}: {key} must be zero or positive, not {value:g}")
-        for key in ("dropout_probability", "mixed_probability"):
+        for key in ("dropout_probability", "mixed_probability", "sweep"):
             value = getattr(self, key)
             if not 0.0 <= value <= 1.0:
                 raise ConfigError(f"{self.name}: {key} must lie between 0 and 1, not {value:g}")
@@ -82,6 +86,16 @@ class SimulatedLaser:
     def at_rate(self, rate_hz: float) -> "SimulatedLaser":
         """Return the same scanner at another rate [Hz]; ConfigError outside its limits."""
         return replace(self, rate_hz=rate_hz)
+
+    @property
+    def time_increment_s(self) -> float:
+        """Time between two beams [s]; 0 for a snapshot."""
+        return self.sweep / (self.rate_hz * self.model.n_beams)
+
+    @property
+    def beam_times(self) -> FloatArray:
+        """(n_beams,) times since the stamp [s]."""
+        return self.time_increment_s * np.arange(self.model.n_beams, dtype=np.float64)
 
 
 LMS200 = SimulatedLaser(
@@ -190,6 +204,32 @@ def cast_rays(
     return ranges, hits
 
 
+def cast_sweeps(
+    T_world_laser: FloatArray, model: LaserModel, segments: FloatArray, circles: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Cast each beam of sweeps from its own pose; as `cast_rays`, but for the poses and circles.
+
+    Parameters
+    ----------
+    T_world_laser : (n, n_beams, 3) array
+        The laser in the world, one pose per beam.
+    circles : (n, t, c, 3) array
+        At t >= 2 times, evenly spaced from the first beam to the last.
+    """
+    n, n_beams = T_world_laser.shape[:2]
+    at = np.linspace(0.0, circles.shape[1] - 1, n_beams)
+    before = np.minimum(at.astype(np.int64), circles.shape[1] - 2)
+    share = (at - before)[:, None, None]
+    of_beams = (1.0 - share) * circles[:, before] + share * circles[:, before + 1]
+    poses = T_world_laser.copy()
+    poses[..., 2] += model.angle_min + model.angle_increment * np.arange(n_beams)
+    one_beam = replace(model, angle_min=0.0, angle_increment=1.0, n_beams=1)
+    ranges, hits = cast_rays(
+        poses.reshape(-1, 3), one_beam, segments, of_beams.reshape(n * n_beams, circles.shape[2], 3)
+    )
+    return ranges.reshape(n, n_beams), hits.reshape(n, n_beams)
+
+
 def measure(
     T_world_base: FloatArray,
     laser: SimulatedLaser,
@@ -204,11 +244,12 @@ def measure(
 
     Parameters
     ----------
-    T_world_base : (n, 3) array
-        The robot's base in the world, one pose per scan.
+    T_world_base : (n, 3) or (n, n_beams, 3) array
+        The robot's base in the world, one pose per scan, or of a sweep one per beam.
     laser : SimulatedLaser
     segments : (m, 4) array [m]
-    circles : (n, c, 3) array [m]
+    circles : (n, c, 3) or (n, t, c, 3) array [m]
+        Of a sweep at t >= 2 times, evenly spaced from the first beam to the last.
     rng : numpy.random.Generator
 
     Returns
@@ -223,16 +264,15 @@ def measure(
     T_world_laser = se2.compose(T_world_base, np.array(laser.model.T_base_laser))
     ranges = np.empty((n, n_beams))
     hits = np.empty((n, n_beams), dtype=np.int64)
+    cast = cast_rays if T_world_laser.ndim == 2 else cast_sweeps
     for first in range(0, n, _CHUNK_SCANS):
         part = slice(first, min(first + _CHUNK_SCANS, n))
         draws = _Draws(laser, part.stop - part.start, rng)
-        exact, hit = cast_rays(T_world_laser[part], laser.model, segments, circles[part])
+        exact, hit = cast(T_world_laser[part], laser.model, segments, circles[part])
         if laser.mixed_probability > 0.0 and laser.footprint_rad > 0.0:
             aside = T_world_laser[part].copy()
-            aside[:, 2] += draws.aside_rad
-            exact, hit = _mix(
-                laser, draws, exact, hit, *cast_rays(aside, laser.model, segments, circles[part])
-            )
+            aside[..., 2] += draws.aside_rad if aside.ndim == 2 else draws.aside_rad[:, None]
+            exact, hit = _mix(laser, draws, exact, hit, *cast(aside, laser.model, segments, circles[part]))
         noisy = exact + laser.noise_std_m * draws.noise
         if laser.resolution_m > 0.0:
             noisy = np.round(noisy / laser.resolution_m) * laser.resolution_m

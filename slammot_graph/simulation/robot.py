@@ -124,7 +124,14 @@ class OdometryErrors:
     slip_scans: np.ndarray[tuple[int], np.dtype[np.int64]]
 
 
-def drive(route: FloatArray, config: DriveConfig, period_s: float, rng: np.random.Generator) -> FloatArray:
+def drive(
+    route: FloatArray,
+    config: DriveConfig,
+    period_s: float,
+    rng: np.random.Generator,
+    *,
+    is_dense: bool = False,
+) -> FloatArray:
     """Drive along waypoints.
 
     Parameters
@@ -136,6 +143,8 @@ def drive(route: FloatArray, config: DriveConfig, period_s: float, rng: np.rando
         Time between poses [s].
     rng : numpy.random.Generator
         For the drive's speed and the waypoints' jitter.
+    is_dense : bool
+        Give all poses that the drive is computed by, `poses_per_period` for each period.
 
     Returns
     -------
@@ -154,24 +163,34 @@ def drive(route: FloatArray, config: DriveConfig, period_s: float, rng: np.rando
     jitter = config.route_jitter_m * rng.uniform(-1.0, 1.0, points.shape)
     points[1:-1] += jitter[1:-1]
     dense = _dense(points)
-    n_sub = max(1, int(np.ceil(period_s / 0.02)))
+    n_sub = poses_per_period(period_s)
+    n_poses = n_sub if is_dense else 1
     length = _ROUTE_STEP_M * len(dense)
     n_rest = int(np.ceil(config.rest_start_s / period_s)), int(np.ceil(config.rest_end_s / period_s))
     n_max = int((4.0 * length / speed + 60.0 + 8.0 * len(points) / config.max_turn_rad_s) / period_s)
     poses = _drive_kernels.follow(
         dense,
         period_s / n_sub,
-        n_sub,
-        n_max,
+        n_sub // n_poses,
+        n_poses * n_max,
         speed,
         config.max_turn_rad_s,
         config.max_accel_m_s2,
         config.max_turn_accel_rad_s2,
         config.lookahead_m,
     )
-    if len(poses) == n_max:
+    if len(poses) == n_poses * n_max:
         raise ConfigError("the robot does not reach the end of its route; is it too slow or too stiff?")
-    return np.concatenate([np.repeat(poses[:1], n_rest[0], 0), poses, np.repeat(poses[-1:], n_rest[1], 0)])
+    # a scan that is under way at the end is the last one
+    n_after = n_poses * n_rest[1] + (-(len(poses) - 1)) % n_poses
+    return np.concatenate(
+        [np.repeat(poses[:1], n_poses * n_rest[0], 0), poses, np.repeat(poses[-1:], n_after, 0)]
+    )
+
+
+def poses_per_period(period_s: float) -> int:
+    """Poses that a drive is computed by in each period [s]."""
+    return max(1, int(np.ceil(period_s / 0.02)))
 
 
 def simulate_odometry(

@@ -9,7 +9,14 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.laser import laser_named, measure
 from slammot_graph.simulation.log import SimulatedLog
 from slammot_graph.simulation.people import PeopleConfig, circles, walk
-from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
+from slammot_graph.simulation.robot import (
+    DriveConfig,
+    OdometryNoise,
+    drive,
+    poses_per_period,
+    simulate_odometry,
+)
+from slammot_graph.simulation.sweeps import beam_poses, circles_during_sweeps
 from slammot_graph.simulation.worlds import world_named
 
 
@@ -29,8 +36,13 @@ class Scenario:
     n_people : int
     n_laps : int
         How often the robot drives its route.
+    sweep : float
+        Share of the time between scans in which the beams are sent out one after the other; 0: snapshots.
     drive, odometry, people
         Configuration of the parts.
+    mountings : tuple of (x, y, theta)
+        Of several lasers of the same kind on the base [m, m, rad], who scan in turn at even intervals; empty: one, as
+        it is mounted.
     """
 
     name: str
@@ -39,15 +51,22 @@ class Scenario:
     rate_hz: float = 10.0
     n_people: int = 0
     n_laps: int = 1
+    sweep: float = 0.0
     drive: DriveConfig = field(default_factory=DriveConfig)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     people: PeopleConfig = field(default_factory=PeopleConfig)
+    mountings: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.n_people < 0:
             raise ConfigError(f"the number of people must not be negative, not {self.n_people}")
         if self.n_laps < 1:
             raise ConfigError(f"n_laps must be at least 1, not {self.n_laps}")
+
+
+def turning(rate_rad_s: float) -> DriveConfig:
+    """Give a drive that turns at up to a rate, and reaches it within 0.3 s."""
+    return DriveConfig(max_turn_rad_s=rate_rad_s, max_turn_accel_rad_s2=max(2.0, rate_rad_s / 0.3))
 
 
 _STOPPING = PeopleConfig(behaviour="walk-then-stop", stop_after_share=0.6)
@@ -63,6 +82,21 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario(name="hall", world="hall", n_people=6),
         Scenario(name="crowd", world="hall", n_people=20, people=PeopleConfig(behaviour="crowd")),
         Scenario(name="building", world="building", n_people=6),
+        Scenario(
+            name="fast-turns",
+            world="office",
+            laser="lowcost360",
+            rate_hz=7.0,
+            sweep=1.0,
+            n_people=2,
+            drive=turning(1.5),
+        ),
+        Scenario(
+            name="two-lasers",
+            world="hall",
+            n_people=6,
+            mountings=((0.25, 0.0, 0.0), (-0.25, 0.0, np.pi)),
+        ),
     )
 }
 
@@ -83,17 +117,19 @@ def simulate(
     laser: str | None = None,
     rate_hz: float | None = None,
     n_laps: int | None = None,
+    sweep: float | None = None,
 ) -> SimulatedLog:
     """Simulate a scenario.
 
     The robot's drive, its odometry, the laser's noise and the people draw from streams of their own, so that logs
-    of one seed with more or fewer people, or with more or less odometry noise, are otherwise alike.
+    of one seed with more or fewer people, or with more or less odometry noise, are otherwise alike. So are those of a
+    laser that sweeps and of one that does not: the same drive, and people as they are at the first beams.
 
     Parameters
     ----------
     scenario : str or Scenario
     seed : int
-    n_people, laser, rate_hz, n_laps : optional
+    n_people, laser, rate_hz, n_laps, sweep : optional
         In place of the scenario's.
     noise_scale : float
         Factor on the odometry's errors.
@@ -112,25 +148,44 @@ def simulate(
         laser=chosen.laser if laser is None else laser,
         rate_hz=chosen.rate_hz if rate_hz is None else rate_hz,
         n_laps=chosen.n_laps if n_laps is None else n_laps,
+        sweep=chosen.sweep if sweep is None else sweep,
     )
     world = world_named(chosen.world)
-    scanner = laser_named(chosen.laser).at_rate(chosen.rate_hz)
+    scanner = replace(laser_named(chosen.laser).at_rate(chosen.rate_hz), sweep=chosen.sweep)
     streams = np.random.default_rng(seed).spawn(4)
-    period_s = 1.0 / scanner.rate_hz
+    n_lasers = max(len(chosen.mountings), 1)
+    period_s = 1.0 / (n_lasers * scanner.rate_hz)
     route = _laps(world.route, chosen.n_laps)
-    T_world_base = drive(route, chosen.drive, period_s, streams[0])
+    n_dense = poses_per_period(period_s) if chosen.sweep else 1
+    dense = drive(route, chosen.drive, period_s, streams[0], is_dense=chosen.sweep > 0.0)
+    T_world_base = dense[::n_dense]
     stamps = period_s * np.arange(len(T_world_base), dtype=np.float64)
     T_odom_base, _ = simulate_odometry(T_world_base, chosen.odometry, streams[1], noise_scale=noise_scale)
     objects = walk(world.free_space, stamps, T_world_base, chosen.n_people, chosen.people, streams[2])
     shapes, person = circles(objects, stamps, chosen.people)
-    ranges, hits = measure(T_world_base, scanner, world.segments, shapes, streams[3])
+    seen_from = T_world_base
+    if chosen.sweep:
+        seen_from = beam_poses(dense, period_s / n_dense, stamps, scanner.beam_times)
+        shapes, person = circles_during_sweeps(objects, stamps, scanner.beam_times, chosen.people)
+    scanners = [
+        replace(scanner, model=replace(scanner.model, T_base_laser=pose, number=number))
+        for number, pose in enumerate(chosen.mountings)
+    ] or [scanner]
+    ranges = np.empty((len(stamps), scanner.model.n_beams))
+    hits = np.empty(ranges.shape, dtype=np.int64)
+    for number, (one, rng) in enumerate(
+        zip(scanners, [streams[3], *streams[3].spawn(n_lasers - 1)], strict=True)
+    ):
+        own = slice(number, None, n_lasers)
+        ranges[own], hits[own] = measure(seen_from[own], one, world.segments, shapes[own], rng)
     is_moving = hits >= 0
     object_id = (
         np.where(is_moving, person[np.maximum(hits, 0)], -1) if len(person) else np.full_like(hits, -1)
     )
     return SimulatedLog(
         name=chosen.name,
-        laser=scanner.model,
+        laser=scanners[0].model,
+        lasers=tuple(one.model for one in scanners),
         stamps=stamps,
         ranges=ranges,
         T_odom_base=T_odom_base,
@@ -138,6 +193,7 @@ def simulate(
         is_moving=is_moving,
         object_id=object_id,
         objects=objects,
+        time_increment_s=scanner.time_increment_s,
     )
 
 

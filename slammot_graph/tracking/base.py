@@ -1,7 +1,8 @@
 """What the pipeline asks of a tracker, and what it gets."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -25,9 +26,11 @@ class Track:
         Where it was first seen [m].
     n_hits : int
     missed_s : float
-        Time since the last cluster.
+        Time since the last cluster in which a laser looked there.
     beams : (k,) int array
         Beams of the latest scan; empty when the track was only predicted.
+    unseen_s : float
+        Time since a laser last looked where the object should be; zero where there is one laser.
     """
 
     track_id: int
@@ -37,6 +40,7 @@ class Track:
     n_hits: int
     missed_s: float
     beams: IntArray
+    unseen_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +62,8 @@ class ScanView:
     ranges : (n,) array [m]
     is_valid, is_no_return : (n,) bool arrays
         Beams that hit something, and that hit nothing within the laser's reach; of the others nothing is known.
+    is_one_of_several : bool
+        Other lasers of the robot look elsewhere.
     """
 
     points: FloatArray
@@ -70,6 +76,7 @@ class ScanView:
     ranges: FloatArray
     is_valid: BoolArray
     is_no_return: BoolArray
+    is_one_of_several: bool = False
 
     @classmethod
     def of_scan(
@@ -84,19 +91,57 @@ class ScanView:
         is_valid: BoolArray,
         range_fraction: float,
     ) -> "ScanView":
-        """View a scan whose base lies at a pose (3,); `range_fraction` as of `Scan.is_no_return`."""
+        """View a scan whose base lies at a pose (3,); `range_fraction` as of `Scan.is_no_return`.
+
+        A sweep is seen as if taken at once: from the middle of its origins, with evenly spaced beams.
+        """
+        T_base_laser, angle_increment, ranges = _seen_at_once(scan)
         return cls(
             points=points,
             packed_cov=packed_cov,
             cluster=cluster,
             is_proven=is_proven,
-            T_local_laser=se2.compose(T_local_base, np.array(scan.laser.T_base_laser)),
+            T_local_laser=se2.compose(T_local_base, T_base_laser),
             angle_min=scan.laser.angle_min,
-            angle_increment=scan.laser.angle_increment,
-            ranges=scan.ranges,
+            angle_increment=angle_increment,
+            ranges=ranges,
             is_valid=is_valid,
             is_no_return=scan.is_no_return(range_fraction=range_fraction),
         )
+
+    def by_one_of_several(self) -> "ScanView":
+        """The same by one of several lasers: who goes on into the view of another one is seen in part, at its edge.
+
+        Across the line of sight, the centre of a body this near to the edge of the field of view is less certain.
+        """
+        n = len(self.ranges)
+        view_rad = n * abs(self.angle_increment)
+        if n == 0 or view_rad > 2.0 * math.pi - 0.5 * abs(self.angle_increment):
+            return replace(self, is_one_of_several=True)
+        beams = np.arange(n)
+        to_edge_m = self.ranges * abs(self.angle_increment) * (np.minimum(beams, n - 1 - beams) + 0.5)
+        at_edge = np.flatnonzero((self.cluster >= 0) & (to_edge_m < EDGE_M))
+        if not len(at_edge):
+            return replace(self, is_one_of_several=True)
+        angles = self.T_local_laser[2] + self.angle_min + self.angle_increment * at_edge
+        x, y = -EDGE_STD_M * np.sin(angles), EDGE_STD_M * np.cos(angles)
+        packed_cov = self.packed_cov.copy()
+        packed_cov[at_edge] += np.column_stack([x * x, x * y, y * y])
+        return replace(self, packed_cov=packed_cov, is_one_of_several=True)
+
+
+def _seen_at_once(scan: Scan) -> tuple[FloatArray, float, FloatArray]:
+    """Pose (3,) of the laser in the base, step between its beams [rad] and its ranges (n,) [m] at the stamp."""
+    laser = scan.laser
+    if scan.sweep is None or laser.n_beams < 2:
+        return np.array(laser.T_base_laser), laser.angle_increment, scan.ranges
+    origin = scan.origins_base.mean(axis=0)
+    bearings = np.unwrap(np.arctan2(scan.directions_base[:, 1], scan.directions_base[:, 0]))
+    step = float(bearings[-1] - bearings[0]) / (laser.n_beams - 1)
+    if step * laser.angle_increment <= 0.0:  # a robot that turns faster than its laser
+        step = laser.angle_increment
+    ranges = np.hypot(*(scan.points_base() - origin).T)
+    return np.array([*origin, bearings[0] - laser.angle_min]), step, ranges
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,3 +229,21 @@ def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[Trac
         )
         for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
     )
+
+
+EDGE_BEAMS = 2
+"""A cluster that reaches so near to the first or last beam of a scan may be cut off there."""
+
+EDGE_M = 0.3
+"""Where the edge of the field of view is nearer than this to a part of a person, it may cut him."""
+
+EDGE_STD_M = 0.25
+"""How far the centre of what is seen of a person may be from his own, where the field of view cuts him."""
+
+
+def edge_covariances(beams: Sequence[IntArray], n_beams: int) -> FloatArray:
+    """(k, 2, 2) covariances [m^2] that clusters' centres have in addition where the field of view cuts them."""
+    is_cut = np.array(
+        [b.min() < EDGE_BEAMS or b.max() >= n_beams - EDGE_BEAMS for b in beams], dtype=np.float64
+    )
+    return np.asarray(EDGE_STD_M**2 * is_cut[:, None, None] * np.eye(2))

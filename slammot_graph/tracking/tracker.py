@@ -2,15 +2,19 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
-from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking import _sight_kernels as _sight
+from slammot_graph.tracking.base import ScanView, Track, edge_covariances
 from slammot_graph.tracking.clock import TrackerClock
+
+_BODY_M = 0.3
+"""Half the width of what must be in view at an object's place, and how far before it a return may be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +34,8 @@ class KalmanTrackerConfig(Checked):
         Clusters needed before a track is reported.
     max_missed_s : float
         A track that no cluster confirmed for this long ends.
+    max_unseen_s : float
+        So does one where none of several lasers looked for this long.
     min_distance_m : float
         An object has displaced when it is this far from where it was first seen.
     """
@@ -40,6 +46,7 @@ class KalmanTrackerConfig(Checked):
     gate: PositiveOrInfinite = 9.21
     n_confirm: Count = 3
     max_missed_s: Positive = 1.0
+    max_unseen_s: Positive = 2.0
     min_distance_m: Positive = 1.0
 
 
@@ -97,7 +104,7 @@ class KalmanTracker:
             Clusters with a beam on free cells; the others follow from their track alone, do not begin one, and do
             not keep one alive. By default all are proven.
         view : ScanView, optional
-            Not looked at.
+            Of the scan of one among several lasers: an object where it did not look is not missed.
 
         Returns
         -------
@@ -108,6 +115,8 @@ class KalmanTracker:
             return []
         proven = [True] * len(centres) if is_proven is None else is_proven.tolist()
         noise = centre_covs + self._centre_cov
+        if view is not None and view.is_one_of_several and len(beams):
+            noise = noise + edge_covariances(beams, len(view.ranges))
         states = np.array([track.state for track in self.tracks]).reshape(-1, 4)
         covs = np.array([track.cov for track in self.tracks]).reshape(-1, 4, 4)
         _track_kernels.predict(states, covs, dt, self.config.acceleration_std_m_s2)
@@ -120,7 +129,9 @@ class KalmanTracker:
             else _follow(track, state, cov, dt, None, False)
             for track, state, cov, c in zip(self.tracks, states, covs, joined, strict=True)
         ]
-        kept = [track for track in followed if track.missed_s <= self.config.max_missed_s]
+        if view is not None and view.is_one_of_several and followed:
+            followed = self._less_missed(followed, dt, view)
+        kept = [track for track in followed if self._lives(track)]
         begun = [
             self._begin(centres[c], noise[c], beams[c])
             for c in range(len(centres))
@@ -128,6 +139,37 @@ class KalmanTracker:
         ]
         self.tracks = kept + begun
         return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
+
+    def _less_missed(self, followed: list[Track], dt: float, view: ScanView) -> list[Track]:
+        """Take back what tracks have missed, `dt` [s], where the scan did not look; that counts later in part."""
+        sight = np.empty(len(followed), dtype=np.int64)
+        _sight.sight_at(
+            np.array([track.state for track in followed]),
+            view.T_local_laser,
+            view.angle_min,
+            view.angle_increment,
+            view.ranges,
+            view.is_valid,
+            view.is_no_return,
+            _BODY_M,
+            sight,
+        )
+        is_looked_at = (sight != _sight.OUT_OF_VIEW) & (sight != _sight.OCCLUDED)
+        longest_s = 0.5 * self.config.max_missed_s
+        out = []
+        for track, is_looked in zip(followed, is_looked_at.tolist(), strict=True):
+            if track.missed_s == 0.0:
+                out.append(replace(track, unseen_s=0.0))
+            elif is_looked:
+                missed_s = track.missed_s + min(track.unseen_s, longest_s)
+                out.append(replace(track, missed_s=missed_s, unseen_s=0.0))
+            else:
+                missed_s, unseen_s = track.missed_s - dt, track.unseen_s + dt
+                out.append(replace(track, missed_s=missed_s, unseen_s=unseen_s))
+        return out
+
+    def _lives(self, track: Track) -> bool:
+        return track.missed_s <= self.config.max_missed_s and track.unseen_s <= self.config.max_unseen_s
 
     def _assign(
         self, states: FloatArray, covs: FloatArray, centres: FloatArray, noise: FloatArray
@@ -176,4 +218,5 @@ def _follow(
         n_hits=track.n_hits if beams is None else track.n_hits + 1,
         missed_s=0.0 if is_proven else track.missed_s + dt,
         beams=np.empty(0, dtype=np.int64) if beams is None else beams,
+        unseen_s=track.unseen_s,
     )

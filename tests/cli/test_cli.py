@@ -169,7 +169,7 @@ def test_the_laser_may_be_placed_by_hand(
     assert next(iter(open_log_of_run(older, log))).laser.T_base_laser == (0.25, -0.5, 3.14)
     code, out, err = run(capsys, *words, tmp_path / "nan", "--laser-pose", "nan", 0, 0)
     assert (code, out) == (2, "")
-    assert_one_line(err, "laser pose", "nan 0.0 0.0")
+    assert_one_line(err, "laser pose", "nan 0 0")
 
 
 def test_compiling_is_announced_once(

@@ -28,13 +28,40 @@ def end_point(T: FloatArray, origin: FloatArray, r: FloatArray, angle: FloatArra
     return se2.transform(T, p[..., None, :])[..., 0, :]
 
 
+NO_TIMES, NO_COV = np.empty(0), np.zeros((3, 3))
+
+
 def kernel_covariances(
-    ranges: FloatArray, angles: FloatArray, origin: FloatArray, theta: float, cov: FloatArray
+    ranges: FloatArray,
+    angles: FloatArray,
+    origin: FloatArray,
+    theta: float,
+    cov: FloatArray,
+    times: FloatArray = NO_TIMES,
+    cov_velocity: FloatArray = NO_COV,
 ) -> FloatArray:
     out = np.empty((len(ranges), 3))
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    _kernels.end_point_covariances(ranges, directions, origin, theta, cov, 0.02, 0.007, out)
+    _kernels.end_point_covariances(
+        ranges, directions, origin.reshape(-1, 2), times, cov_velocity, theta, cov, 0.02, 0.007, out
+    )
     return out[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+
+def test_a_late_beam_has_the_covariance_of_a_pose_that_is_known_less_well(rng: np.random.Generator) -> None:
+    n = 8
+    ranges, angles, origins = (
+        rng.uniform(0.1, 30.0, n),
+        rng.uniform(-4.0, 4.0, n),
+        rng.normal(0.0, 0.2, (n, 2)),
+    )
+    cov, cov_velocity = random_cov(rng, [0.1, 0.2, 0.05]), random_cov(rng, [0.2, 0.1, 0.3])
+    times = rng.uniform(-0.1, 0.2, n)
+    found = kernel_covariances(ranges, angles, origins, 0.7, cov, times, cov_velocity)
+    for k in range(n):
+        widened = cov + times[k] ** 2 * cov_velocity
+        alone = kernel_covariances(ranges[k : k + 1], angles[k : k + 1], origins[k], 0.7, widened)
+        np.testing.assert_allclose(found[k], alone[0], rtol=1e-12)
 
 
 def test_end_point_covariances_equal_those_of_numeric_jacobians(rng: np.random.Generator) -> None:
@@ -228,7 +255,9 @@ def test_a_scan_is_put_at_its_pose_and_tested_there(seed: int, is_fixed: bool) -
         points_base,
         ranges,
         directions,
-        origin,
+        origin[None],
+        NO_TIMES,
+        NO_COV,
         is_valid,
         T,
         cov_pose,

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.detection import reasons, scan_history
 from slammot_graph.detection.scan_history import ScanHistory
 from tests.rooms import take_scan
@@ -71,3 +73,25 @@ def test_a_full_disk_is_told_in_one_line(rng: np.random.Generator, monkeypatch: 
     monkeypatch.setattr(kept._file, "write", full)
     with pytest.raises(SlammotError, match=r"No space left on device.*TMPDIR"):
         kept.append(**judged_scans(rng, 1)[0])
+
+
+def test_a_deskewed_scan_keeps_its_sweep(rng: np.random.Generator) -> None:
+    kept, items = ScanHistory(), judged_scans(rng, 4)
+    times = 0.001 * np.arange(len(items[0]["scan"].ranges))
+    for k, item in enumerate(items):
+        knots = rng.normal(0.0, 0.1, (9, 3))
+        sweep = SweepMotion(
+            first_s=0.0, last_s=float(times[-1]), T_stamp_base=knots, cov_velocity=np.diag([0.1, 0.2, 0.3])
+        )
+        if k % 2:
+            item["scan"] = replace(item["scan"], beam_times=times, sweep=sweep)
+        kept.append(**item)
+    for item, back in zip(items, kept, strict=True):
+        sweep, kept_sweep = item["scan"].sweep, back.scan.sweep
+        assert (sweep is None) == (kept_sweep is None)
+        np.testing.assert_allclose(back.scan.points_base(), item["scan"].points_base(), atol=1e-5)
+        np.testing.assert_allclose(back.scan.origins_base, item["scan"].origins_base, atol=1e-6)
+        np.testing.assert_array_equal(back.is_valid, item["is_valid"])
+        if sweep is not None and kept_sweep is not None:
+            np.testing.assert_allclose(kept_sweep.cov_velocity, sweep.cov_velocity, rtol=1e-6)
+    kept.close()

@@ -73,7 +73,7 @@ def test_the_kernel_equals_its_twin(seed: int, sense: float, field_rad: float, i
             points,
             is_used,
             T_base,
-            T_base_laser[:2].copy(),
+            T_base_laser[None, :2].copy(),
             np.column_stack([np.cos(in_base), np.sin(in_base)]),
             in_base[0],
             angles[1] - angles[0],
@@ -86,6 +86,39 @@ def test_the_kernel_equals_its_twin(seed: int, sense: float, field_rad: float, i
         T_laser = se2.compose(T_base, T_base_laser)
         twin = seen_through_twin(points, is_used, T_laser, angles, ranges, is_valid, 0.1, min_run)
         np.testing.assert_array_equal(out[:n_gone], twin)
+
+
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+def test_the_beam_of_a_sweep_is_found_from_where_it_starts(rng: np.random.Generator, sense: float) -> None:
+    """The robot turns by 0.4 rad and drives 0.2 m meanwhile: a point on a beam's line is seen by that beam."""
+    n = 180
+    share = np.arange(n) / (n - 1)
+    in_laser = sense * (-1.5 + 3.0 * share)
+    turned = in_laser + 0.4 * share
+    directions = np.column_stack([np.cos(turned), np.sin(turned)])
+    origins = np.outer(share, [0.2, 0.05])
+    reach = rng.uniform(1.0, 4.0, n)
+    points, ranges = origins + reach[:, None] * directions, np.full(n, 10.0)
+    out = np.empty((n, 2))
+    for k in range(5, n - 5, 9):
+        is_valid = np.zeros(n, dtype=bool)
+        is_valid[k - 1 : k + 2] = True  # any other beam sees nothing
+        n_gone = _kernels.seen_through(
+            points,
+            np.arange(n) == k,
+            np.zeros(3),
+            origins,
+            directions,
+            float(in_laser[0]),
+            float(in_laser[1] - in_laser[0]),
+            ranges,
+            is_valid,
+            0.1,
+            1,
+            out,
+        )
+        assert n_gone == 1
+        np.testing.assert_array_equal(out[0], points[k])
 
 
 def vacated(before: list[list[float]], after: list[list[float]], seconds: float = 2.0) -> FloatArray:

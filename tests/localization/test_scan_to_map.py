@@ -9,6 +9,7 @@ from slammot_graph.core.linalg import is_covariance
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import Estimate, ScanToMap, ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
@@ -227,6 +228,9 @@ class PreviousMotion:
             return None
         self.T_odom_base = se2.compose(self.T_odom_base, self._increment)
         return Motion(increment=self._increment, cov=np.diag([0.05, 0.05, 0.05]) ** 2)
+
+    def during_sweep(self, scan: Scan) -> SweepMotion:
+        raise AssertionError("these scans are snapshots")
 
     def correct(self, T_local_base: FloatArray, match: MatchedPose | None) -> None:
         if self._T_local_base is not None:

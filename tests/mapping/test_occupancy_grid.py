@@ -47,10 +47,13 @@ class PlainGrid:
         is_hit: BoolArray,
         is_soft_hit: BoolArray,
     ) -> None:
+        """`origin` is (2,), or (n, 2) where each beam has its own."""
+        origins = np.broadcast_to(origin, ends.shape)
         c = self.config
         hits = {self.cell(end) for end in ends[is_hit]}
         soft = {self.cell(end) for end in ends[is_soft_hit]} - hits
-        passes = set().union(*(self.crossed(origin, end) for end in ends[is_beam])) - hits - soft
+        beams = zip(origins[is_beam], ends[is_beam], strict=True)
+        passes = set().union(*(self.crossed(*beam) for beam in beams)) - hits - soft
         for cells, p in ((hits, c.p_hit), (soft, c.p_soft_hit), (passes, c.p_pass)):
             for cell in cells:
                 value, stamp = self.cells.get(cell, (0.0, -1))
@@ -324,3 +327,28 @@ def test_map_is_cropped_with_its_lower_left_corner() -> None:
 def test_impossible_grids_are_refused(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         GridConfig(**changes)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([None, 6.0]))
+def test_each_beam_frees_the_cells_from_its_own_origin_on(seed: int, window_m: float | None) -> None:
+    rng, config = np.random.default_rng(seed), GridConfig(resolution_m=0.1)
+    grid, plain = OccupancyGrid(config, window_m=window_m), PlainGrid(config)
+    start = rng.normal(0.0, 0.2, 2)
+    for now in range(4):
+        start = start + rng.normal(0.0, 0.1, 2)
+        _, ends, is_beam, is_hit, is_soft_hit = random_scan(rng, start, 1.2)
+        origins = start + np.linspace(-0.2, 0.2, len(ends))[:, None] * [1.0, 0.5]
+        grid.update(now, origins, ends, is_beam, is_hit, is_soft_hit)
+        plain.update(now, origins, ends, is_beam, is_hit, is_soft_hit)
+    assert_equal_around(grid, plain, start, 25)
+
+
+def test_one_origin_for_all_beams_is_as_good_as_one_for_each(rng: np.random.Generator) -> None:
+    once, each = (OccupancyGrid(GridConfig()) for _ in range(2))
+    angles = np.linspace(-2.0, 2.0, 181)
+    ends = 1.0 + rng.uniform(0.5, 6.0, (181, 1)) * np.column_stack([np.cos(angles), np.sin(angles)])
+    is_hit = rng.random(181) < 0.8
+    once.update(0, np.ones(2), ends, is_hit, is_hit)
+    each.update(0, np.ones((181, 2)), ends, is_hit, is_hit)
+    np.testing.assert_array_equal(once.log_odds, each.log_odds)

@@ -276,7 +276,7 @@ def accumulated(
     h, g, stats = np.empty((3, 3)), np.empty(3), np.empty(4)
     is_used = np.isfinite(points[:, 0])
     _solve_kernels.accumulate(
-        field.points, field.normals, field.nearest, 1.0 / CELL, field.first, points, is_used, laser, T,
+        field.points, field.normals, field.nearest, 1.0 / CELL, field.first, points, is_used, laser[None], T,
         0.4**2, scale**2, POINT_WEIGHT, h, g, stats,
     )  # fmt: skip
     return h, g, stats

@@ -5,7 +5,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.linalg import mahalanobis2
 from slammot_graph.core.types import FloatArray
-from slammot_graph.tracking.base import Track, track_states
+from slammot_graph.tracking.base import ScanView, Track, track_states
 from slammot_graph.tracking.tracker import KalmanTracker, KalmanTrackerConfig
 
 
@@ -251,3 +251,34 @@ def test_tracks_are_reported_in_the_map_frame(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(state.position_cov, R @ track.cov[:2, :2] @ R.T, rtol=1e-12)
         np.testing.assert_array_equal(state.beams, track.beams)
     assert track_states([], T_map_local) == ()
+
+
+def test_a_track_is_missed_only_where_a_laser_looked() -> None:
+    def seen_once() -> KalmanTracker:
+        tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=1))
+        tracker.update(0.0, np.array([[1.0, 0.0]]), np.zeros((1, 2, 2)), [np.arange(3)])
+        return tracker
+
+    def update(tracker: KalmanTracker, stamp: float, *, looks: bool) -> int:
+        nothing = np.empty((0, 2)), np.empty((0, 2, 2)), list[np.ndarray]()
+        view = ScanView(
+            points=np.full((19, 2), np.nan),
+            packed_cov=np.zeros((19, 3)),
+            cluster=np.full(19, -1),
+            is_proven=np.full(19, False),
+            T_local_laser=np.array([0.0, 0.0, 0.0 if looks else np.pi]),
+            angle_min=-0.9,
+            angle_increment=0.1,
+            ranges=np.full(19, np.inf),
+            is_valid=np.full(19, False),
+            is_no_return=np.full(19, True),
+            is_one_of_several=True,
+        )
+        return len(tracker.update(stamp, *nothing, None, view))
+
+    unseen, missed, back = seen_once(), seen_once(), seen_once()
+    n_unseen = [update(unseen, 0.1 * k, looks=False) for k in range(1, 25)]
+    assert n_unseen == [1] * 20 + [0] * 4  # 2 s out of every laser's view
+    n_missed = [update(missed, 0.1 * k, looks=k % 2 == 0) for k in range(1, 25)]
+    assert n_missed == [1] * 11 + [0] * 13  # two lasers in turn: a second, told by the next scan that looks
+    assert [update(back, 0.1 * k, looks=k > 15) for k in range(1, 25)] == [1] * 20 + [0] * 4
