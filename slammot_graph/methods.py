@@ -8,10 +8,16 @@ from slammot_graph.detection.clustering import ClusterConfig
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.ellipse_test import EllipseTestConfig
 from slammot_graph.detection.no_detection import NoDetectionConfig
-from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.localization.config import (
+    DeadReckoningConfig,
+    ScanToMapConfig,
+    ScanToScanConfig,
+    StepConfig,
+)
 from slammot_graph.mapping.occupancy_grid import GridConfig, NoReturnConfig
 from slammot_graph.odometry.noise import ConstantNoise
 from slammot_graph.pipeline_config import PipelineConfig
+from slammot_graph.registration.point_to_point import PointToPointConfig
 from slammot_graph.tracking.no_tracking import NoTrackingConfig
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
 
@@ -49,6 +55,12 @@ _DOCPFO = replace(
     tracker=KalmanTrackerConfig(),
 )
 
+_PAPER_STEP = ScanToScanConfig(
+    step=StepConfig(),
+    point_to_point=PointToPointConfig(kept_share=0.8, max_gap_m=1.0),
+)
+"""What the paper leaves open, as `experiments.paper_search` found it."""
+
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
@@ -57,10 +69,24 @@ METHODS: dict[str, Method] = {
             summary="dead reckoning on the wheels, no matching",
             config=replace(_ICP, localizer=DeadReckoningConfig()),
         ),
-        Method(name="icp", summary="the paper's ICP: scan to scan, point to point, no filter", config=_ICP),
+        Method(
+            name="icp",
+            summary="the paper's ICP: scan to scan, point to point, once a step of the odometry, no filter",
+            config=replace(_ICP, localizer=_PAPER_STEP),
+        ),
         Method(
             name="docpfo",
             summary="the paper: icp on points that the test with constant R_r calls static, map from all points",
+            config=replace(_DOCPFO, localizer=_PAPER_STEP),
+        ),
+        Method(
+            name="icp-every-scan",
+            summary="icp at each scan, nearest points without interpolation",
+            config=_ICP,
+        ),
+        Method(
+            name="docpfo-every-scan",
+            summary="docpfo at each scan, nearest points without interpolation",
             config=_DOCPFO,
         ),
         Method(
@@ -95,8 +121,13 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             name="kiss-icp-odometry",
-            summary="kiss-icp, started from the odometry",
-            config=KissIcpConfig(use_odometry=True),
+            summary="kiss-icp, started from the odometry, best 2D setting of such a start",
+            config=KissIcpConfig(
+                use_odometry=True,
+                max_range_m=40.0,
+                max_points_per_voxel=20,
+                match_spacing_m=0.05,
+            ),
         ),
     )
 }

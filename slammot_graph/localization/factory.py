@@ -18,5 +18,5 @@ def make_localizer(config: LocalizerConfig, noise: OdometryNoise | ConstantNoise
     if isinstance(config, DeadReckoningConfig):
         return DeadReckoning(WheelOdometry(noise))
     if isinstance(config, ScanToScanConfig):
-        return ScanToScan(OdometryOrPreviousMotion(noise), config.point_to_point)
+        return ScanToScan(OdometryOrPreviousMotion(noise), config)
     return ScanToMap(AdaptiveOdometry(noise, config.odometry), config)
