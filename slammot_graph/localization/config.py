@@ -69,6 +69,24 @@ class ScanToScanConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ScanToLocalMapConfig:
+    """Between the paper's localization and ours, for the comparison: onto a local map, without a pose graph.
+
+    Attributes
+    ----------
+    step : StepConfig or None
+        See `ScanToScanConfig`.
+    matcher : PointToPointConfig or PointToLineConfig
+        Points pair with points of the local map, or with the lines through them.
+    local_map : LocalMapConfig
+    """
+
+    step: StepConfig | None = None
+    matcher: PointToPointConfig | PointToLineConfig = field(default_factory=PointToLineConfig)
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ScanToMapConfig(Checked):
     """Ours: point-to-line matching on a local map, keyframes in a pose graph.
 
