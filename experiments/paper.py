@@ -69,8 +69,8 @@ def table(name: str, title: str, scenario: str, caption: str, options: Options) 
         for method in ("odometry", *METHODS)
     ]
     notes = [
-        f"Scenario {scenario}, odometry noise x {NOISE:g}, {len(seeds)} seeds: median [95% bootstrap interval]. A walker's"
-        " position counts as found if a track is within 0.5 m.",
+        f"Scenario {scenario}, odometry noise x {NOISE:g}, {len(seeds)} seeds: median [95% bootstrap interval]. A"
+        " walker's position counts as found if a track is within 0.5 m.",
         "",
         f"The figure, `figures/{name}.png`, shows seed 0. {caption}",
     ]

@@ -34,8 +34,8 @@ def experiment(options: Options) -> None:
     caption = (
         "Columns: `icp`, `docpfo`, `graph`. a to c (the paper's Fig. 1): the finished map, the true path (green), the"
         " wheels' (ochre) and the estimate (blue, dashed). d to f (its Fig. 3): the end points of one scan with the 95%"
-        " ellipses in which each method tests them: the constant R_r of `docpfo` makes them grow with the range until they"
-        " reach a wall, those of `graph` are smaller than a cell. Red: called moving."
+        " ellipses in which each method tests them: the constant R_r of `docpfo` makes them grow with the range until"
+        " they reach a wall, those of `graph` are smaller than a cell. Red: called moving."
     )
     table(name, "Map, trajectory and ellipses (the paper's Fig. 1 and 3)", scenario, caption, options)
 

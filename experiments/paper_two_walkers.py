@@ -10,8 +10,8 @@ def experiment(options: Options) -> None:
     """Map, trajectory and the walkers' positions for icp, docpfo and graph."""
     name = "paper_two_walkers"
     caption = (
-        ", the paper's Fig. 8 d: both walk until they stop for good after 60% of the drive, from where on their lines are"
-        " level and those detected end (the paper's Fig. 7: a to c, Fig. 8: d to i)."
+        ", the paper's Fig. 8 d: both walk until they stop for good after 60% of the drive, from where on their lines"
+        " are level and those detected end (the paper's Fig. 7: a to c, Fig. 8: d to i)."
     )
     title = "Two walkers who stop before the robot does (the paper's Fig. 7 and 8)"
     walkers_experiment(name, title, "two-walkers", caption, options)

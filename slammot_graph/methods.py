@@ -41,25 +41,23 @@ _ICP = PipelineConfig(
     tracker=NoTrackingConfig(),
     grid=GridConfig(fill_gaps=False, occupy_with_moving=True, no_return=NoReturnConfig()),
 )
-_DOCPFO = replace(
-    _ICP,
-    detector=EllipseDetectorConfig(
-        test_covariance=ConstantNoise(),
-        ellipse_test=EllipseTestConfig(margin_cells=None, track_reach_m=None),
-        clusters=ClusterConfig(split=None),
-        visibility_check=None,
-        retest=None,
-        backward_pass=False,
-        local_grid=None,
-    ),
-    tracker=KalmanTrackerConfig(),
+_DETECTOR = EllipseDetectorConfig(
+    test_covariance=ConstantNoise(),
+    ellipse_test=EllipseTestConfig(margin_cells=None, track_reach_m=None),
+    clusters=ClusterConfig(split=None),
+    visibility_check=None,
+    retest=None,
+    backward_pass=False,
+    local_grid=None,
 )
+_DOCPFO = replace(_ICP, detector=_DETECTOR, tracker=KalmanTrackerConfig())
 
-_PAPER_STEP = ScanToScanConfig(
-    step=StepConfig(),
-    point_to_point=PointToPointConfig(kept_share=0.8, max_gap_m=1.0),
+_STEPWISE = ScanToScanConfig(
+    step=StepConfig(distance_m=0.25, turn_rad=0.25),
+    point_to_point=PointToPointConfig(max_distance_m=2.0, kept_share=0.8, max_gap_m=2.0, tau_m=1e-6),
 )
-"""What the paper leaves open, as `experiments.paper_search` found it."""
+"""What the paper leaves open, as `experiments.paper_search` found it; so is the size of the ellipse below."""
+_STEPWISE_DETECTOR = replace(_DETECTOR, ellipse_test=replace(_DETECTOR.ellipse_test, n_sigma=1.0))
 
 METHODS: dict[str, Method] = {
     method.name: method
@@ -72,12 +70,12 @@ METHODS: dict[str, Method] = {
         Method(
             name="icp",
             summary="the paper's ICP: scan to scan, point to point, once a step of the odometry, no filter",
-            config=replace(_ICP, localizer=_PAPER_STEP),
+            config=replace(_ICP, localizer=_STEPWISE),
         ),
         Method(
             name="docpfo",
             summary="the paper: icp on points that the test with constant R_r calls static, map from all points",
-            config=replace(_DOCPFO, localizer=_PAPER_STEP),
+            config=replace(_DOCPFO, localizer=_STEPWISE, detector=_STEPWISE_DETECTOR),
         ),
         Method(
             name="icp-every-scan",
@@ -86,7 +84,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             name="docpfo-every-scan",
-            summary="docpfo at each scan, nearest points without interpolation",
+            summary="docpfo at each scan, nearest points without interpolation, ellipse of 95%",
             config=_DOCPFO,
         ),
         Method(

@@ -46,8 +46,8 @@ class StepConfig(Checked):
         The scans in between go into the map, at the poses that the odometry tells.
     """
 
-    distance_m: PositiveOrInfinite = 0.5
-    turn_rad: PositiveOrInfinite = 0.5
+    distance_m: PositiveOrInfinite = 0.25
+    turn_rad: PositiveOrInfinite = 0.25
     time_s: PositiveOrInfinite = math.inf
     maps_between: bool = True
 
