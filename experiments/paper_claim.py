@@ -16,7 +16,7 @@ from slammot_graph.methods import get_method
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.simulation import SCENARIOS, PeopleConfig, Scenario
 
-STEPS_M, NOISES = (0.1, 0.25, 0.5, 1.0), (0.5, 1.0, 3.0, 6.0)
+STEPS_M, NOISES = (0.1, 0.25, 1.0), (0.5, 2.0, 6.0)
 PEOPLE = (
     ("none", 0),
     ("crossing", 2),
