@@ -53,8 +53,10 @@ _DETECTOR = EllipseDetectorConfig(
 _DOCPFO = replace(_ICP, detector=_DETECTOR, tracker=KalmanTrackerConfig())
 
 _STEPWISE = ScanToScanConfig(
-    step=StepConfig(distance_m=0.25, turn_rad=0.25),
-    point_to_point=PointToPointConfig(max_distance_m=2.0, kept_share=0.8, max_gap_m=2.0, tau_m=1e-6),
+    step=StepConfig(distance_m=0.25, turn_rad=0.1, time_s=2.0),
+    point_to_point=PointToPointConfig(
+        max_distance_m=2.0, kept_share=0.8, max_gap_m=2.0, tau_m=1e-6, max_iterations=300
+    ),
 )
 """What the paper leaves open, as `experiments.paper_search` found it; so is the size of the ellipse below."""
 _STEPWISE_DETECTOR = replace(_DETECTOR, ellipse_test=replace(_DETECTOR.ellipse_test, n_sigma=1.0))

@@ -1,6 +1,5 @@
 """Configuration of the localizers."""
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,8 +46,8 @@ class StepConfig(Checked):
     """
 
     distance_m: PositiveOrInfinite = 0.25
-    turn_rad: PositiveOrInfinite = 0.25
-    time_s: PositiveOrInfinite = math.inf
+    turn_rad: PositiveOrInfinite = 0.1
+    time_s: PositiveOrInfinite = 2.0
     maps_between: bool = True
 
 
