@@ -127,9 +127,9 @@ def experiment(options: Options) -> None:
         f"The lab, one round at 0.5 m/s, {RATE_HZ:g} scans a second, {len(seeds)} paired seeds, `icp` and `docpfo` at"
         " their setting in the registry but for the step, whose turn and time are in proportion. Noise is the factor"
         " on the odometry's errors. People cross the room from goal to goal, walk along with the robot, or stop for"
-        " good after 60% of the drive; without any the two methods differ by false alarms alone. Cells: median of docpfo"
-        " / median of icp, the median difference with its 95% bootstrap interval (below zero: the filter helps), p of the"
-        " paired Wilcoxon test,"
+        " good after 60% of the drive; without any the two methods differ by false alarms alone. Cells: median of"
+        " docpfo / median of icp, the median difference with its 95% bootstrap interval (below zero: the filter helps),"
+        " p of the paired Wilcoxon test,"
         f" two-sided, with Holm's correction over all {len(compared)} comparisons; bold where p < {SIGNIFICANT:g}. The"
         " figure: `figures/paper_claim.png`."
     ]
