@@ -269,11 +269,7 @@ def experiment(options: Options) -> None:
 
 def _effect(search: Search, knob: Knob, value: Any, found: Setting, used: Setting) -> list[str]:
     tried = {**found, knob.name: value}
-    text = (
-        {True: "yes", False: "no", None: "no"}.get(value, f"{value:g}")
-        if not isinstance(value, float)
-        else f"{value:g}"
-    )
+    text = f"{value:g}" if type(value) in (int, float) else {True: "yes", False: "no"}.get(value, "none")
     icp = "" if knob.is_detectors else number(search.mean("icp", tried, "ratio"))
     docpfo = [number(search.mean("docpfo", tried, name)) for name in ("ratio", "iou")]
     return [knob.title, f"**{text}**" if value == used[knob.name] else text, icp, *docpfo]
