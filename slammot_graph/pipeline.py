@@ -97,7 +97,7 @@ class Pipeline:
         watch.lap("graph")
         if committed.node is not None:
             self._node_scans.append(len(self._history))
-        if self.grid is not None:
+        if self.grid is not None and committed.is_mapped:
             self.grid.add_scan(scan.index, scan, matched.T_local_base, points, is_valid, is_static)
         self.detector.update(
             scan,
@@ -115,7 +115,7 @@ class Pipeline:
             scan.index,
             match,
             is_lost=committed.is_lost,
-            expects_match=self.config.has_matches,
+            expects_match=self.config.has_matches and committed.expects_match,
         )
         watch.lap("objects")
         T_map_local = self.localizer.T_map_local
