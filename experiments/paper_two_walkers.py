@@ -11,7 +11,8 @@ def experiment(options: Options) -> None:
     name = "paper_two_walkers"
     caption = (
         ", the paper's Fig. 8 d: both walk until they stop for good after 60% of the drive, from where on their lines"
-        " are level, but for a step out of the robot's way, and those detected end (the paper's Fig. 7: a to c, Fig. 8: d to i)."
+        " are level, but for a step out of the robot's way, and those detected end (the paper's Fig. 7: a to c,"
+        " Fig. 8: d to i)."
     )
     title = "Two walkers who stop before the robot does (the paper's Fig. 7 and 8)"
     walkers_experiment(name, title, "two-walkers", caption, options)

@@ -16,6 +16,7 @@ from experiments import (
     noise_sweep,
     paper,
     paper_claim,
+    paper_judge,
     paper_search,
     tracking,
     walking_along,
@@ -77,7 +78,11 @@ def test_paper_claim(tmp_path: Path) -> None:
 def test_paper_search(tmp_path: Path) -> None:
     text = quick("paper_search", tmp_path, paper_search.METHODS)
     assert text.count("| rejection: share of the pairs that is kept |") == 5
-    assert text.count("| one-walker |") == 2  # judged at two noises
+
+
+def test_paper_judge(tmp_path: Path) -> None:
+    text = quick("paper_judge", tmp_path, paper_judge.METHODS)
+    assert text.count("| one-walker |") == 2  # at two noises
 
 
 def test_ladder(tmp_path: Path) -> None:
