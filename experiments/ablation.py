@@ -87,9 +87,9 @@ def experiment(options: Options) -> None:
     tables.append(_paper_table(column, scenarios))
     notes = [
         "All methods on all scenarios, paired seeds, fewer where logs are long: median [95% bootstrap interval]. p:"
-        " paired Wilcoxon, two-sided, with Holm's correction over the methods of a scenario. ATE after planar alignment and RPE"
-        " by evo, root mean square. The map is compared with that of the same drive without people at true poses."
-        " Milliseconds are wall time under the load of all processes; for kiss-icp `register_frame` alone."
+        " paired Wilcoxon, two-sided, with Holm's correction over the methods of a scenario. ATE after planar alignment"
+        " and RPE by evo, root mean square. The map is compared with that of the same drive without people at true"
+        " poses. Milliseconds are wall time under the load of all processes; for kiss-icp `register_frame` alone."
     ]
     write_tables("ablation", "Ablation: all methods on all scenarios", notes, tables, options)
 

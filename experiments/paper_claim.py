@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -42,8 +43,10 @@ FIGURES = (
     ("ghosts_per_m2", "ghost cells/m^2", 2),
     ("lost_per_m2", "lost wall cells/m^2", 2),
 )
-DRAWN = ("ate_m", "ghosts_per_m2", "lost_per_m2")
+DRAWN = ("ate_m", "rpe_m", "ghosts_per_m2", "lost_per_m2")
 SIGNIFICANT = 0.05
+FAINT = 0.2
+"""Opacity of what may be chance."""
 
 Field = tuple[str, int, float, float]
 """What people do, how many, the step [m], the odometry's noise."""
@@ -171,24 +174,35 @@ def draw(
     for (row, name), (place, who) in product(enumerate(DRAWN), enumerate(shown)):
         panel = axes[row][place]
         changes = np.zeros((len(steps), len(noises)))
+        is_sure = np.zeros(changes.shape, dtype=bool)
         for (i, step), (j, noise) in product(enumerate(steps), enumerate(noises)):
             of_field = ((*who, step, noise), name)
             docpfo, icp = (float(np.median(values)) for values in compared[of_field])
             changes[i, j] = 100.0 * (docpfo / icp - 1.0) if icp > 0.0 else 0.0
-            star = "*" if p_values[f"{of_field}"] < SIGNIFICANT else ""
-            panel.text(j, i, f"{changes[i, j]:+.0f}{star}", ha="center", va="center", fontsize=7)
-        image = panel.imshow(changes, cmap="RdBu_r", vmin=-100.0, vmax=100.0, origin="lower", aspect="auto")
+            is_sure[i, j] = p_values[f"{of_field}"] < SIGNIFICANT
+            style: dict[str, Any] = {"fontweight": "bold"} if is_sure[i, j] else {"color": "0.5"}
+            panel.text(j, i, f"{changes[i, j]:+.0f}", ha="center", va="center", fontsize=7, **style)
+        image = panel.imshow(
+            changes,
+            cmap="RdBu_r",
+            vmin=-100.0,
+            vmax=100.0,
+            alpha=np.where(is_sure, 1.0, FAINT),
+            origin="lower",
+            aspect="auto",
+        )
         panel.set_xticks(range(len(noises)), [f"{noise:g}" for noise in noises])
         panel.set_yticks(range(len(steps)), [f"{step:g}" for step in steps])
         panel.tick_params(labelsize=7, length=0.0)
         if row == 0:
-            panel.set_title(f"{who[1]} {who[0]}", fontsize=9)
+            panel.set_title(f"{who[1]} people, {who[0]}", fontsize=9)
         if row == len(DRAWN) - 1:
             panel.set_xlabel("odometry noise", fontsize=8)
         if place == 0:
             panel.set_ylabel(f"{titles[name]}\nstep [m]", fontsize=8)
     figure.suptitle(
-        "docpfo against icp: change of the median [%]; blue: the filter helps; *: p < 0.05", fontsize=9
+        "docpfo against icp: change of the median [%]; blue: the filter helps; bold and full colour: p < 0.05",
+        fontsize=9,
     )
     assert image is not None
     figure.colorbar(image, ax=[panel for line in axes for panel in line], shrink=0.6, label="%")

@@ -25,7 +25,7 @@ def experiment(options: Options) -> None:
         view = (x - 1.2 * REACH_M, x + 1.2 * REACH_M, y - REACH_M, y + REACH_M)
         figures.draw_map(axes[1][column], run.result.grid, view)
         figures.draw_ellipses(axes[1][column], run.step, T_map_base)
-        tested = "no test" if method == "icp" else "95% ellipses as tested, moving ones red"
+        tested = "no test" if method == "icp" else "95% ellipses"
         axes[1][column].set_title(f"{method}: scan {run.step.scan.index}, {tested}", fontsize=9)
     letters(axes)
     axes[0][-1].legend(fontsize=7, loc="lower right")
