@@ -104,12 +104,17 @@ def rungs() -> tuple[Rung, ...]:
         "pose graph",
         "matches and odometry as factors; odometry is learnt; the map is made of the nodes' scans, the test has a grid"
         " of its own that forgets",
-        replace(ours, localizer=no_loops, detector=plain),
+        replace(ours, localizer=no_loops, detector=plain, tracker=paper.tracker),
     )
     config = add(
         "test at the match",
         "the test again at the matched pose, a margin of one cell, visibility check, wide subsets are split",
         replace(config, detector=replace(ours.detector, backward_pass=False)),
+    )
+    config = add(
+        "tracker",
+        "the tracker joins legs, and knows where the laser looks: it tells the test where people are expected",
+        replace(config, tracker=ours.tracker),
     )
     config = add("loop closure", "loops are closed", replace(config, localizer=ours.localizer))
     add(
