@@ -49,11 +49,12 @@ def without_people(
 
 
 def trajectory_scores(result: RunResult, T_world_base: FloatArray) -> Scores:
-    """ATE and RPE by evo: `ate_m`, `rpe_m` and `rpe_deg` (root mean square, RPE over 1 m).
+    """ATE and RPE by evo: `ate_m`, `rpe_m` and `rpe_deg` (root mean square, RPE over 1 m; NaN over shorter drives).
 
     The alignment is the planar one of `evaluation.alignment`: evo's, in space, has no answer for a straight drive.
     """
     from evo.core import metrics
+    from evo.core.filters import FilterException
     from evo.core.trajectory import PosePath3D
 
     def path(T: FloatArray) -> PosePath3D:
@@ -73,7 +74,11 @@ def trajectory_scores(result: RunResult, T_world_base: FloatArray) -> Scores:
         ("rpe_deg", _rpe(metrics.PoseRelation.rotation_angle_deg)),
     )
     for name, metric in metrics_by_name:
-        metric.process_data(both)
+        try:
+            metric.process_data(both)
+        except FilterException:  # no two poses are so far apart
+            scores[name] = float("nan")
+            continue
         scores[name] = float(metric.get_statistic(metrics.StatisticsType.rmse))
     return scores
 

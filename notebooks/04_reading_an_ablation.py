@@ -126,7 +126,7 @@ display(Markdown(table.markdown()))  # type: ignore[no-untyped-call]
 n_seeds = np.arange(3, 21)
 figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
 axes.semilogy(n_seeds, 2.0 / 2.0**n_seeds, "o-", label="one test")
-axes.semilogy(n_seeds, np.minimum(1.0, 9 * 2.0 / 2.0**n_seeds), "o-", label="the best of nine, after Holm")
+axes.semilogy(n_seeds, np.minimum(1.0, 11 * 2.0 / 2.0**n_seeds), "o-", label="the best of eleven, after Holm")
 axes.axhline(0.05, color="k", linewidth=0.8, label="0.05")
 axes.set(xlabel="number of paired seeds", ylabel="smallest p that is possible", xticks=range(4, 21, 4))
 axes.legend()
@@ -136,7 +136,7 @@ plt.show()
 # ## The same rows in the real table
 #
 # From `experiments/tables/ablation.md`, with 20 seeds. There the p belongs to the absolute error of `graph` against the
-# method of the row, corrected over the nine rivals of `graph`.
+# method of the row, corrected over the eleven rivals of `graph`.
 
 # %%
 text = (ROOT / "experiments" / "tables" / "ablation.md").read_text(encoding="utf-8")

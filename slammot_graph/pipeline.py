@@ -98,7 +98,7 @@ class Pipeline:
         watch.lap("detect")
         committed = self.localizer.commit(scan, scan.points_base(), is_static)
         watch.lap("graph")
-        if self.grid is not None:
+        if self.grid is not None and committed.is_mapped:
             self.grid.add_scan(scan.index, scan, matched.T_local_base, points, is_valid, is_static)
         self.detector.update(
             scan,
@@ -116,7 +116,7 @@ class Pipeline:
             scan.index,
             match,
             is_lost=committed.is_lost,
-            expects_match=self.config.has_matches,
+            expects_match=self.config.has_matches and committed.expects_match,
         )
         watch.lap("objects")
         T_map_local = self.localizer.T_map_local

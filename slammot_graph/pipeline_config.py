@@ -8,7 +8,12 @@ from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.scan import NO_RETURN_FRACTION
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.no_detection import NoDetectionConfig
-from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.localization.config import (
+    DeadReckoningConfig,
+    ScanToLocalMapConfig,
+    ScanToMapConfig,
+    ScanToScanConfig,
+)
 from slammot_graph.mapping.final_map import FinalMapConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
@@ -27,7 +32,8 @@ class PipelineConfig(Checked):
 
     Attributes
     ----------
-    localizer : DeadReckoningConfig, ScanToScanConfig (the paper's) or ScanToMapConfig (with the pose graph)
+    localizer : DeadReckoningConfig, ScanToScanConfig (the paper's), ScanToLocalMapConfig (without a pose graph) or
+        ScanToMapConfig (with it)
     detector : NoDetectionConfig or EllipseDetectorConfig
     tracker : NoTrackingConfig, KalmanTrackerConfig (of clusters) or SegmentTrackerConfig (of people)
     odometry_noise : OdometryNoise or ConstantNoise
@@ -42,7 +48,7 @@ class PipelineConfig(Checked):
         From this share of the laser's `range_max` on, a range is no return.
     """
 
-    localizer: DeadReckoningConfig | ScanToScanConfig | ScanToMapConfig = field(
+    localizer: DeadReckoningConfig | ScanToScanConfig | ScanToLocalMapConfig | ScanToMapConfig = field(
         default_factory=ScanToMapConfig
     )
     detector: NoDetectionConfig | EllipseDetectorConfig = field(default_factory=EllipseDetectorConfig)
@@ -83,7 +89,7 @@ class PipelineConfig(Checked):
             key="detector.local_grid",
         )
         self.require(
-            self.has_graph or has_constant_noise,
+            self.has_local_map or has_constant_noise,
             f"must be a table of constant noise: {name} has no pose graph",
             key="detector.test_covariance",
         )
@@ -102,6 +108,11 @@ class PipelineConfig(Checked):
     def has_graph(self) -> bool:
         """Whether the localizer keeps a pose graph, from whose nodes the map is made."""
         return isinstance(self.localizer, ScanToMapConfig)
+
+    @property
+    def has_local_map(self) -> bool:
+        """Whether the localizer matches onto a local map, to which the covariance of its poses is relative."""
+        return self.has_graph or isinstance(self.localizer, ScanToLocalMapConfig)
 
     @property
     def has_matches(self) -> bool:

@@ -32,6 +32,7 @@ def differing(first: Any, second: Any, path: str = "") -> Iterator[str]:
 def test_the_ladder_has_its_rungs() -> None:
     main = {"odometry", "icp", "docpfo", "graph", "kiss-icp", "kiss-icp-odometry"}
     ablations = {"graph-fixed", "graph-absolute", "graph-nofilter", "graph-noloop"}
+    ablations |= {"icp-every-scan", "docpfo-every-scan"}
     assert main | ablations <= set(METHODS)
     assert all(name == method.name and method.summary for name, method in METHODS.items())
 
@@ -45,7 +46,12 @@ def test_the_ladder_has_its_rungs() -> None:
         ("graph", "graph-noloop", {"localizer.close_loops"}),
         ("icp", "odometry", {"localizer"}),
         ("icp", "docpfo", {"detector", "tracker"}),
-        ("kiss-icp", "kiss-icp-odometry", {"use_odometry"}),
+        ("icp-every-scan", "docpfo-every-scan", {"detector", "tracker"}),
+        (  # each at the best setting of its start value
+            "kiss-icp",
+            "kiss-icp-odometry",
+            {"use_odometry", "max_range_m", "max_points_per_voxel", "match_spacing_m"},
+        ),
     ],
 )
 def test_each_rung_is_one_change(a: str, b: str, names: set[str]) -> None:
@@ -53,7 +59,7 @@ def test_each_rung_is_one_change(a: str, b: str, names: set[str]) -> None:
 
 
 def test_a_method_without_a_name_is_refused_with_those_that_are() -> None:
-    with pytest.raises(ConfigError, match='no method "grpah"; there are odometry, icp, docpfo, graph'):
+    with pytest.raises(ConfigError, match='no method "grpah"; there are odometry, icp, docpfo, icp-every'):
         get_method("grpah")
     assert get_method("graph") is METHODS["graph"]
 

@@ -40,8 +40,8 @@ def load(tmp_path: Path, text: str, method: str = "graph") -> PipelineConfig:
         (OLD_GRAPH.replace('"relative"', '"constant"'), "graph-fixed"),
         (OLD_GRAPH.replace('"relative"', '"absolute"'), "graph-absolute"),
         (OLD_GRAPH.replace("close_loops = true", "close_loops = false"), "graph-noloop"),
-        (OLD_PAPER, "docpfo"),
-        (OLD_PAPER.replace("filter_moving = true", "filter_moving = false"), "icp"),
+        (OLD_PAPER, "docpfo-every-scan"),
+        (OLD_PAPER.replace("filter_moving = true", "filter_moving = false"), "icp-every-scan"),
         (
             OLD_PAPER.replace("filter_moving = true", "filter_moving = false").replace(
                 "scan-to-scan", "none"

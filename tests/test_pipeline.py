@@ -164,8 +164,8 @@ def test_the_tests_covariance_is_the_one_asked_for() -> None:
 
 def test_docpfo_and_icp_differ_in_the_filter() -> None:
     log = drive(30)
-    _, paper = run(log, DOCPFO)
-    _, icp = run(log, pipeline_config("icp"))
+    _, paper = run(log, pipeline_config("docpfo-every-scan"))
+    _, icp = run(log, pipeline_config("icp-every-scan"))
     assert not any(step.is_moving.any() for step in icp)
     assert any(step.is_moving.any() for step in paper)
     for step in paper[1:]:

@@ -22,7 +22,7 @@ class Estimate:
     ----------
     T_local_base : (3,) array
     cov_relative : (3, 3) array
-        Relative to the local map's anchor; for localizers without one, to the previous scan.
+        Relative to the local map's anchor; for localizers without one, to the scan of the cycle before.
     cov_absolute : (3, 3) array
         In the map. Both are right perturbations (body frame).
     T_anchor_base : (3,) array
@@ -72,6 +72,10 @@ class CommitResult:
         The scan went into the local map.
     is_lost : bool
         The localizer has lost its place at this scan: what was remembered before lies elsewhere.
+    expects_match : bool
+        False where the localizer matches once in a while, and this scan lies in between.
+    is_mapped : bool
+        The scan goes into the map.
     closures : tuple of ClosureAttempt
         Loop closures tried.
     events : tuple of Event
@@ -80,6 +84,8 @@ class CommitResult:
     node: int | None = None
     is_keyframe: bool = False
     is_lost: bool = False
+    expects_match: bool = True
+    is_mapped: bool = True
     closures: tuple[ClosureAttempt, ...] = ()
     events: tuple[Event, ...] = ()
 

@@ -4,7 +4,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slammot_graph.core.checks import AtLeastOne, Checked, Count, NotNegative, Positive, PositiveShare, Share
+from slammot_graph.core.checks import (
+    AtLeastOne,
+    Checked,
+    Count,
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    PositiveShare,
+    Share,
+)
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraphConfig
 from slammot_graph.loop_closure import LoopClosureConfig
@@ -20,15 +29,60 @@ class DeadReckoningConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanToScanConfig:
-    """The paper's localization: each scan matched onto the one before.
+class StepConfig(Checked):
+    """How far the robot moves from one cycle of match and map to the next; the first bound that is reached counts.
+
+    The paper's R_r = diag(0.1^2, 0.1^2, 0.05^2) is the error of the odometry after such a step.
 
     Attributes
     ----------
+    distance_m : float
+        Path by the odometry.
+    turn_rad : float
+        Turns by the odometry, left and right added up.
+    time_s : float
+    maps_between : bool
+        The scans in between go into the map, at the poses that the odometry tells.
+    """
+
+    distance_m: PositiveOrInfinite = 0.25
+    turn_rad: PositiveOrInfinite = 0.1
+    time_s: PositiveOrInfinite = 2.0
+    maps_between: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanToScanConfig:
+    """The paper's localization: a scan matched onto the one of the cycle before.
+
+    Attributes
+    ----------
+    step : StepConfig or None
+        None: every scan is a cycle. Else the odometry carries pose and covariance in between, and the scans there are
+        tested for moving points, but not matched; one without odometry is always a cycle.
     point_to_point : PointToPointConfig
     """
 
+    step: StepConfig | None = None
     point_to_point: PointToPointConfig = field(default_factory=PointToPointConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanToLocalMapConfig:
+    """Between the paper's localization and ours, for the comparison: onto a local map, without a pose graph.
+
+    Attributes
+    ----------
+    step : StepConfig or None
+        See `ScanToScanConfig`.
+    matcher : PointToPointConfig or PointToLineConfig
+        Points pair with points of the local map, or with the lines through them.
+    local_map : LocalMapConfig
+    """
+
+    step: StepConfig | None = None
+    matcher: PointToPointConfig | PointToLineConfig = field(default_factory=PointToLineConfig)
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,11 @@
-"""Kernels that solve a match: normal equations, point to line and point to point."""
+"""Kernels that solve a match: normal equations, point to line."""
 
 import math
 
 import numpy as np
 
 from slammot_graph.core._numba import kernel
-from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.core.types import BoolArray, FloatArray
 
 
 @kernel
@@ -243,93 +243,4 @@ def match_point_to_line(
         g,
         stats,
     )
-    return iterations
-
-
-@kernel
-def match_point_to_point(
-    reference: FloatArray,
-    is_reference: BoolArray,
-    points: FloatArray,
-    is_used: BoolArray,
-    T_start: FloatArray,
-    max_distance: float,
-    tau: float,
-    max_iterations: int,
-    T: FloatArray,
-    partner: IntArray,
-    stats: FloatArray,
-) -> int:
-    """Classical ICP (eq. 3 to 5): nearest points, closed-form pose, until d_k - d_(k+1) < tau; returns the iterations.
-
-    `d` is the mean distance of the pairs [m]; pairs beyond `max_distance` are left out. Fills `T`, `partner` (index
-    into reference, -1 for none) and `stats`: points used, pairs, final d, d of the start.
-    """
-    T[:] = T_start
-    n = points.shape[0]
-    d_before = np.inf
-    iterations = 0
-    stats[3] = np.nan
-    for iteration in range(max_iterations):
-        c = math.cos(T[2])
-        s = math.sin(T[2])
-        n_used = n_pairs = 0
-        total = 0.0
-        mx = my = qx = qy = 0.0
-        for k in range(n):
-            partner[k] = -1
-            if not is_used[k]:
-                continue
-            n_used += 1
-            x = T[0] + c * points[k, 0] - s * points[k, 1]
-            y = T[1] + s * points[k, 0] + c * points[k, 1]
-            best = max_distance * max_distance
-            for m in range(reference.shape[0]):
-                if is_reference[m]:
-                    dx = reference[m, 0] - x
-                    dy = reference[m, 1] - y
-                    d2 = dx * dx + dy * dy
-                    if d2 < best:
-                        best = d2
-                        partner[k] = m
-            if partner[k] >= 0:
-                n_pairs += 1
-                total += math.sqrt(best)
-                mx += points[k, 0]
-                my += points[k, 1]
-                qx += reference[partner[k], 0]
-                qy += reference[partner[k], 1]
-        iterations = iteration + 1
-        stats[0] = n_used
-        stats[1] = n_pairs
-        if n_pairs < 3:
-            stats[2] = np.nan
-            break
-        d = total / n_pairs
-        stats[2] = d
-        if iteration == 0:
-            stats[3] = d
-        if d_before - d < tau:
-            break
-        d_before = d
-        mx /= n_pairs
-        my /= n_pairs
-        qx /= n_pairs
-        qy /= n_pairs
-        sin_sum = cos_sum = 0.0
-        for k in range(n):
-            if partner[k] < 0:
-                continue
-            ax = points[k, 0] - mx
-            ay = points[k, 1] - my
-            bx = reference[partner[k], 0] - qx
-            by = reference[partner[k], 1] - qy
-            sin_sum += ax * by - ay * bx
-            cos_sum += ax * bx + ay * by
-        theta = math.atan2(sin_sum, cos_sum)
-        c = math.cos(theta)
-        s = math.sin(theta)
-        T[0] = qx - c * mx + s * my
-        T[1] = qy - s * mx - c * my
-        T[2] = theta
     return iterations

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.checks import Checked, Count, Positive
+from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare
 from slammot_graph.core.linalg import covariance_of
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.registration import _solve_kernels
+from slammot_graph.registration import _point_to_point_kernels
 from slammot_graph.registration.base import Match, MatchPrior, ReferenceScan
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointToPointConfig(Checked):
-    """Stopping and pairing of the paper's ICP.
+    """Stopping and pairing of the paper's ICP; the paper leaves all of it open but tau's meaning.
 
     Attributes
     ----------
@@ -23,6 +23,11 @@ class PointToPointConfig(Checked):
         Stop when the mean distance of the pairs falls by less than this.
     max_distance_m : float
         Pairs farther apart are left out; without a bound, what only one scan sees pulls the pose away.
+    kept_share : float
+        Of the pairs that are left, this share is kept: those least far apart.
+    max_gap_m : float or None
+        Neighbouring points of the earlier scan up to this far apart are joined by a line, whose nearest place is the
+        partner (Lu and Milios 1997); None: the points alone.
     max_iterations : int
     pair_std_m : float
         Standard deviation of a pair's distance per axis, for the covariance.
@@ -30,6 +35,8 @@ class PointToPointConfig(Checked):
 
     tau_m: Positive = 1e-5
     max_distance_m: Positive = 0.5
+    kept_share: PositiveShare = 1.0
+    max_gap_m: Positive | None = None
     max_iterations: Count = 100
     pair_std_m: Positive = 0.05
 
@@ -84,13 +91,15 @@ def match_scans(
         `T_ref_base` is base at t+1 in base at t; "failed" with fewer than 3 pairs.
     """
     T, partner, stats = np.empty(3), np.empty(len(points), dtype=np.int64), np.empty(4)
-    iterations = _solve_kernels.match_point_to_point(
+    iterations = _point_to_point_kernels.match_point_to_point(
         reference,
         is_reference,
         points,
         is_used,
         T_start,
         config.max_distance_m,
+        config.max_gap_m or 0.0,
+        config.kept_share,
         config.tau_m,
         config.max_iterations,
         T,

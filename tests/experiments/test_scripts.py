@@ -11,15 +11,17 @@ from matplotlib import image
 from experiments import (
     ablation,
     common,
+    ladder,
     moving_points,
     noise_sweep,
     paper,
     paper_claim,
+    paper_judge,
+    paper_search,
     tracking,
     walking_along,
 )
 from slammot_graph.methods import METHODS
-from slammot_graph.simulation import simulate
 
 
 def quick(name: str, output: Path, methods: Sequence[str], *more: str) -> str:
@@ -69,7 +71,23 @@ def test_tracking(tmp_path: Path) -> None:
 
 def test_paper_claim(tmp_path: Path) -> None:
     text = quick("paper_claim", tmp_path, paper_claim.METHODS)
-    assert "one-walker" in text
+    assert "## crossing, 2" in text
+    assert_drawn(tmp_path / "figures" / "paper_claim.png")
+
+
+def test_paper_search(tmp_path: Path) -> None:
+    text = quick("paper_search", tmp_path, paper_search.METHODS)
+    assert text.count("| rejection: share of the pairs that is kept |") == 5
+
+
+def test_paper_judge(tmp_path: Path) -> None:
+    text = quick("paper_judge", tmp_path, paper_judge.METHODS)
+    assert text.count("| one-walker |") == 2  # at two noises
+
+
+def test_ladder(tmp_path: Path) -> None:
+    text = quick("ladder", tmp_path, [rung.name for rung in ladder.rungs()], "--seeds", "1")
+    assert "one-walker, 1 seeds" in text
 
 
 @pytest.mark.parametrize(
@@ -121,11 +139,6 @@ def test_full_grids_are_made_of_cells_of_their_own(
         script.experiment(common.Options(output=tmp_path))  # type: ignore[attr-defined]
     unlike = {tuple(cell.items()) for cell in asked}
     assert len(unlike) == len(asked) > 100
-
-
-def test_paper_claim_asks_for_rates_that_the_laser_has() -> None:
-    for rate_hz in paper_claim.RATES_HZ:
-        simulate("one-walker", seed=0, n_people=0, rate_hz=rate_hz)
 
 
 def test_noise_sweep_ranks_the_methods() -> None:

@@ -1,8 +1,14 @@
 import pytest
 
-from slammot_graph.localization.config import DeadReckoningConfig, ScanToMapConfig, ScanToScanConfig
+from slammot_graph.localization.config import (
+    DeadReckoningConfig,
+    ScanToLocalMapConfig,
+    ScanToMapConfig,
+    ScanToScanConfig,
+)
 from slammot_graph.localization.dead_reckoning import DeadReckoning
 from slammot_graph.localization.factory import LocalizerConfig, make_localizer
+from slammot_graph.localization.scan_to_local_map import ScanToLocalMap
 from slammot_graph.localization.scan_to_map import ScanToMap
 from slammot_graph.localization.scan_to_scan import ScanToScan
 from slammot_graph.odometry.noise import OdometryNoise
@@ -13,6 +19,7 @@ from slammot_graph.odometry.noise import OdometryNoise
     [
         (DeadReckoningConfig(), DeadReckoning),
         (ScanToScanConfig(), ScanToScan),
+        (ScanToLocalMapConfig(), ScanToLocalMap),
         (ScanToMapConfig(), ScanToMap),
     ],
 )
