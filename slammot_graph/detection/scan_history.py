@@ -71,12 +71,12 @@ class ScanHistory(Sequence[ScanRecord]):
         is_valid: BoolArray,
         is_moving: BoolArray,
         reason: IntArray,
-        displaced: Sequence[IntArray],
+        is_displaced: BoolArray,
         cov_relative: FloatArray,
         window: int,
         is_doubtful: bool,
     ) -> None:
-        """Add the next scan of n beams: see `ScanRecord`; `displaced` are the beams of each object that has displaced.
+        """Add the next scan of n beams: see `ScanRecord`.
 
         Raises
         ------
@@ -86,9 +86,7 @@ class ScanHistory(Sequence[ScanRecord]):
         if not self._lasers or self._lasers[-1] is not scan.laser:
             self._lasers.append(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
-        _kernels.pack_masks(is_valid, is_moving, reason, masks)
-        for beams in displaced:
-            masks[beams] |= 8
+        _kernels.pack_masks(is_valid, is_moving, reason, is_displaced, masks)
         cov = cov_relative.ravel().tolist()
         laser = len(self._lasers) - 1
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, *cov)

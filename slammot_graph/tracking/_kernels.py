@@ -1,5 +1,7 @@
 """Kernels of the tracks' Kalman filter, all tracks at once: predict, costs of pairs, nearest tracks, correct."""
 
+import math
+
 import numpy as np
 
 from slammot_graph.core._numba import kernel
@@ -120,3 +122,29 @@ def correct(
             states[t, i] += a[i] * u / var_u + b[i] * w / var_w
             for j in range(4):
                 P[i, j] -= a[i] * a[j] / var_u + b[i] * b[j] / var_w
+
+
+@kernel
+def carry_tracks(
+    states: FloatArray,
+    covs: FloatArray,
+    T_a_b: FloatArray,
+    places: FloatArray,
+    velocities: FloatArray,
+    place_covs: FloatArray,
+) -> None:
+    """Carry `states` (n, 4) and `covs` (n, 4, 4) of frame b, which lies at (3,) in a: fill those of frame a."""
+    R = np.empty((2, 2))
+    R[0, 0] = R[1, 1] = math.cos(T_a_b[2])
+    R[1, 0] = math.sin(T_a_b[2])
+    R[0, 1] = -R[1, 0]
+    for t in range(states.shape[0]):
+        for i in range(2):
+            places[t, i] = T_a_b[i] + R[i, 0] * states[t, 0] + R[i, 1] * states[t, 1]
+            velocities[t, i] = R[i, 0] * states[t, 2] + R[i, 1] * states[t, 3]
+            for j in range(2):
+                total = 0.0
+                for m in range(2):
+                    for n in range(2):
+                        total += R[i, m] * covs[t, m, n] * R[j, n]
+                place_covs[t, i, j] = total

@@ -10,6 +10,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import TrackState
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking import _kernels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,8 +123,16 @@ class Tracker(Protocol):
     """Follows the clusters of moving points from scan to scan."""
 
     @property
+    def needs_clusters(self) -> bool:
+        """Whether the clusters are looked at where there is a view of the scan."""
+
+    @property
     def sightings(self) -> Sightings | None:
         """What was seen at the latest scan; None of a tracker whose tracks are not smoothed after the run."""
+
+    @property
+    def n_tracks(self) -> int:
+        """Number of tracks now, confirmed or not."""
 
     @property
     def tracks(self) -> list[Track]:
@@ -134,6 +143,9 @@ class Tracker(Protocol):
 
     def displaced(self) -> list[Track]:
         """Confirmed tracks of objects that have displaced."""
+
+    def on_displaced(self, n_beams: int) -> BoolArray:
+        """(n_beams,) beams of the latest scan on such objects."""
 
     def update(
         self,
@@ -170,17 +182,19 @@ def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[Trac
     """Carry tracks from the local frame, which lies at (3,) in the map, into the map frame."""
     if not tracks:
         return ()
-    R = se2.rotation(T_map_local[2])
-    turned = np.array([track.state for track in tracks]).reshape(-1, 2, 2) @ R.T  # rows: place, velocity
-    places = turned[:, 0] + T_map_local[:2]
-    covs = R @ np.array([track.cov for track in tracks])[:, :2, :2] @ R.T
+    k = len(tracks)
+    places, velocities, covs = np.empty((k, 2)), np.empty((k, 2)), np.empty((k, 2, 2))
+    _kernels.carry_tracks(
+        np.array([track.state for track in tracks]),
+        np.array([track.cov for track in tracks]),
+        T_map_local,
+        places,
+        velocities,
+        covs,
+    )
     return tuple(
         TrackState(
-            track_id=track.track_id,
-            position=place,
-            velocity=velocity,
-            position_cov=cov,
-            beams=track.beams,
+            track_id=track.track_id, position=place, velocity=velocity, position_cov=cov, beams=track.beams
         )
-        for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
+        for track, place, velocity, cov in zip(tracks, places, velocities, covs, strict=True)
     )

@@ -17,6 +17,13 @@ class NoTrackingConfig:
 class NoTracking:
     """A `Tracker` that follows nothing."""
 
+    needs_clusters = False
+
+    @property
+    def n_tracks(self) -> int:
+        """See `Tracker`; there are none."""
+        return 0
+
     @property
     def tracks(self) -> list[Track]:
         """See `Tracker`; there are none."""
@@ -33,6 +40,10 @@ class NoTracking:
     def displaced(self) -> list[Track]:
         """See `Tracker`."""
         return []
+
+    def on_displaced(self, n_beams: int) -> BoolArray:
+        """See `Tracker`."""
+        return np.zeros(n_beams, dtype=np.bool_)
 
     def update(
         self,

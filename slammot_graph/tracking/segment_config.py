@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
+from slammot_graph.core.types import FloatArray
 from slammot_graph.tracking.smoothing import SmoothingConfig
 
 
@@ -77,3 +80,33 @@ class SegmentTrackerConfig(Checked):
     max_missed_s: Positive = 3.0
     min_distance_m: Positive = 1.0
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
+
+    def limits(self) -> FloatArray:
+        """(22,) what the kernels take, in the order that they name."""
+        return np.array(
+            [
+                self.acceleration_std_m_s2,
+                self.leg_std_m**2,
+                self.body_std_m**2,
+                self.start_speed_std_m_s**2,
+                self.gate,
+                self.max_jump_m,
+                self.segment_gap_m,
+                self.standing_reach_m,
+                self.standing_gap_m,
+                self.standing_speed_m_s,
+                self.leg_width_m,
+                self.body_m,
+                self.apart_m,
+                self.twin_m,
+                self.max_twin_s,
+                self.n_confirm,
+                self.shown_s,
+                self.max_empty_s,
+                self.max_unproven_s,
+                self.min_unproven_points,
+                self.max_missed_s,
+                self.min_distance_m,
+            ],
+            dtype=np.float64,
+        )

@@ -46,12 +46,19 @@ class KalmanTrackerConfig(Checked):
 class KalmanTracker:
     """A `Tracker`: follows the clusters of moving points from scan to scan."""
 
+    needs_clusters = True
+
     def __init__(self, config: KalmanTrackerConfig) -> None:
         self.config = config
         self.tracks: list[Track] = []
         self._clock = TrackerClock(config.max_missed_s)
         self._next_id = 0
         self._centre_cov = config.centre_std_m**2 * np.eye(2)
+
+    @property
+    def n_tracks(self) -> int:
+        """See `Tracker`."""
+        return len(self.tracks)
 
     @property
     def sightings(self) -> None:
@@ -71,6 +78,13 @@ class KalmanTracker:
             if track.n_hits >= self.config.n_confirm
             and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_distance_m
         ]
+
+    def on_displaced(self, n_beams: int) -> BoolArray:
+        """See `Tracker`."""
+        is_on = np.zeros(n_beams, dtype=np.bool_)
+        for track in self.displaced():
+            is_on[track.beams] = True
+        return is_on
 
     def update(
         self,
