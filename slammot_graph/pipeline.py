@@ -23,7 +23,7 @@ from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.base import ScanView, track_states
+from slammot_graph.tracking.base import ScanView
 from slammot_graph.tracking.factory import make_tracker
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
@@ -271,11 +271,11 @@ class Pipeline:
             range_fraction=self.config.range_fraction,
         )
         clusters = detection.clusters(points) if self.tracker.needs_clusters else NO_CLUSTERS
-        tracks = self.tracker.update(scan.stamp, *clusters, view)
+        self.tracker.update(scan.stamp, *clusters, view)
         sightings = None if self.detector.has_backward_pass else self.tracker.sightings
         if sightings is not None:
             self._sightings.add(len(self._stamps) - 1, sightings, T_local_base)
-        return track_states(tracks, self.localizer.T_map_local)
+        return self.tracker.shown_in(self.localizer.T_map_local)
 
     def _remember(
         self,

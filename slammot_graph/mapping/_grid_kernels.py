@@ -199,3 +199,32 @@ def _free_line(
         freed = max(value + l_pass, least)
         log_odds[i, j] = before if seen == now else freed  # no branch: which cells are new is hard to foresee
         stamp[i, j] = now
+
+
+@kernel
+def far_beams(
+    T_a_base: FloatArray,
+    origin_base: FloatArray,
+    directions_base: FloatArray,
+    reach: float,
+    is_missing: BoolArray,
+    points: FloatArray,
+    is_valid: BoolArray,
+    origin: FloatArray,
+    ends: FloatArray,
+    is_beam: BoolArray,
+) -> None:
+    """Let the beams that met nothing end at `reach` [m]: fills `ends` (n, 2), `is_beam` (n,) and the `origin` (2,)."""
+    c = math.cos(T_a_base[2])
+    s = math.sin(T_a_base[2])
+    origin[0] = T_a_base[0] + c * origin_base[0] - s * origin_base[1]
+    origin[1] = T_a_base[1] + s * origin_base[0] + c * origin_base[1]
+    for k in range(points.shape[0]):
+        is_beam[k] = is_valid[k] or is_missing[k]
+        if is_missing[k]:
+            x = origin_base[0] + reach * directions_base[k, 0]
+            y = origin_base[1] + reach * directions_base[k, 1]
+            ends[k, 0] = T_a_base[0] + c * x - s * y
+            ends[k, 1] = T_a_base[1] + s * x + c * y
+        else:
+            ends[k] = points[k]

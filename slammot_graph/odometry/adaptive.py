@@ -177,8 +177,10 @@ class AdaptiveOdometry:
         scale_m = min(max(now.noise_scale_m.value, config.min_noise_scale), config.max_noise_scale)
         scale_rad = min(max(now.noise_scale_rad.value, config.min_noise_scale), config.max_noise_scale)
         if scale_m != 1.0 or scale_rad != 1.0:
-            scales = np.array([scale_m, scale_m, scale_rad])
-            cov = cov * np.outer(scales, scales)
+            cov[:2, :2] *= scale_m * scale_m
+            cov[2, 2] *= scale_rad * scale_rad
+            cov[:2, 2] *= scale_m * scale_rad
+            cov[2, :2] *= scale_m * scale_rad
         return Motion(increment=increment, cov=cov)
 
     def _is_possible(self, told: Motion) -> bool:

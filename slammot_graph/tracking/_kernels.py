@@ -125,26 +125,22 @@ def correct(
 
 
 @kernel
-def carry_tracks(
-    states: FloatArray,
-    covs: FloatArray,
-    T_a_b: FloatArray,
-    places: FloatArray,
-    velocities: FloatArray,
-    place_covs: FloatArray,
+def carry_track(
+    state: FloatArray, cov: FloatArray, T_a_b: FloatArray, motion: FloatArray, place_cov: FloatArray
 ) -> None:
-    """Carry `states` (n, 4) and `covs` (n, 4, 4) of frame b, which lies at (3,) in a: fill those of frame a."""
+    """Carry a state (4,) and its covariance (4, 4) into frame a, in which theirs lies at (3,).
+
+    Fills `motion` (4,) and `place_cov` (2, 2).
+    """
     R = np.empty((2, 2))
     R[0, 0] = R[1, 1] = math.cos(T_a_b[2])
     R[1, 0] = math.sin(T_a_b[2])
     R[0, 1] = -R[1, 0]
-    for t in range(states.shape[0]):
-        for i in range(2):
-            places[t, i] = T_a_b[i] + R[i, 0] * states[t, 0] + R[i, 1] * states[t, 1]
-            velocities[t, i] = R[i, 0] * states[t, 2] + R[i, 1] * states[t, 3]
-            for j in range(2):
-                total = 0.0
-                for m in range(2):
-                    for n in range(2):
-                        total += R[i, m] * covs[t, m, n] * R[j, n]
-                place_covs[t, i, j] = total
+    for i in range(2):
+        motion[i] = T_a_b[i] + R[i, 0] * state[0] + R[i, 1] * state[1]
+        motion[i + 2] = R[i, 0] * state[2] + R[i, 1] * state[3]
+        for j in range(2):
+            place_cov[i, j] = 0.0
+            for m in range(2):
+                for n in range(2):
+                    place_cov[i, j] += R[i, m] * cov[m, n] * R[j, n]

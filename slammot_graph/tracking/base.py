@@ -57,8 +57,11 @@ class ScanView:
     angle_min, angle_increment : float [rad]
         Of the beams, laser frame: the field of view.
     ranges : (n,) array [m]
-    is_valid, is_no_return : (n,) bool arrays
-        Beams that hit something, and that hit nothing within the laser's reach; of the others nothing is known.
+    is_valid : (n,) bool array
+        Beams that hit something.
+    no_return_m : float
+        Of the others, those with a range from this on hit nothing within the laser's reach; of the rest nothing is
+        known.
     """
 
     points: FloatArray
@@ -70,7 +73,7 @@ class ScanView:
     angle_increment: float
     ranges: FloatArray
     is_valid: BoolArray
-    is_no_return: BoolArray
+    no_return_m: float
 
     @classmethod
     def of_scan(
@@ -96,7 +99,7 @@ class ScanView:
             angle_increment=scan.laser.angle_increment,
             ranges=scan.ranges,
             is_valid=is_valid,
-            is_no_return=scan.is_no_return(range_fraction=range_fraction),
+            no_return_m=range_fraction * scan.laser.range_max,
         )
 
 
@@ -141,6 +144,12 @@ class Tracker(Protocol):
     def predicted_positions(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
 
+    def shown(self) -> list[Track]:
+        """Confirmed tracks, those that are to be shown."""
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """Give them in a frame a in which the tracker's lies at (3,)."""
+
     def displaced(self) -> list[Track]:
         """Confirmed tracks of objects that have displaced."""
 
@@ -155,7 +164,7 @@ class Tracker(Protocol):
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """Take in the clusters of a scan.
 
         Parameters
@@ -171,30 +180,22 @@ class Tracker(Protocol):
             Clusters with a beam on free cells; by default all.
         view : ScanView, optional
             The scan itself; where there is none, no track is known to be occluded.
-
-        Returns
-        -------
-        Confirmed tracks, those that are to be shown.
         """
 
 
-def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[TrackState, ...]:
-    """Carry tracks from the local frame, which lies at (3,) in the map, into the map frame."""
-    if not tracks:
-        return ()
-    k = len(tracks)
-    places, velocities, covs = np.empty((k, 2)), np.empty((k, 2)), np.empty((k, 2, 2))
-    _kernels.carry_tracks(
-        np.array([track.state for track in tracks]),
-        np.array([track.cov for track in tracks]),
-        T_map_local,
-        places,
-        velocities,
-        covs,
-    )
-    return tuple(
-        TrackState(
-            track_id=track.track_id, position=place, velocity=velocity, position_cov=cov, beams=track.beams
+def track_states(tracks: Sequence[Track], T_a_local: FloatArray) -> tuple[TrackState, ...]:
+    """Carry tracks from the local frame, which lies at (3,) in frame a, into that."""
+    carried = []
+    for track in tracks:
+        motion, cov = np.empty(4), np.empty((2, 2))
+        _kernels.carry_track(track.state, track.cov, T_a_local, motion, cov)
+        carried.append(
+            TrackState(
+                track_id=track.track_id,
+                position=motion[:2],
+                velocity=motion[2:],
+                position_cov=cov,
+                beams=track.beams,
+            )
         )
-        for track, place, velocity, cov in zip(tracks, places, velocities, covs, strict=True)
-    )
+    return tuple(carried)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking.base import ScanView, Track
 
@@ -37,6 +38,14 @@ class NoTracking:
         """See `Tracker`."""
         return np.empty((0, 2))
 
+    def shown(self) -> list[Track]:
+        """See `Tracker`."""
+        return []
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """See `Tracker`."""
+        return ()
+
     def displaced(self) -> list[Track]:
         """See `Tracker`."""
         return []
@@ -53,6 +62,5 @@ class NoTracking:
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """See `Tracker`."""
-        return []

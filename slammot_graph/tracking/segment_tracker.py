@@ -4,8 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _follow_kernels as _kernels
+from slammot_graph.tracking import _table_kernels
 from slammot_graph.tracking.base import ScanView, Sightings, Track
 from slammot_graph.tracking.clock import TrackerClock
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
@@ -51,13 +53,27 @@ class SegmentTracker:
             return _NOWHERE
         places = np.empty((table.n, 2))
         dt = self._clock.elapsed_s(stamp_s)
-        return places[: _kernels.expected_places(table.n, dt, table.states, table.times, table.flags, places)]
+        return places[
+            : _table_kernels.expected_places(table.n, dt, table.states, table.times, table.flags, places)
+        ]
+
+    def shown(self) -> list[Track]:
+        """Confirmed tracks that were seen a moment ago."""
+        return self._table.listed(
+            np.flatnonzero(self._table.flags[_table_kernels.IS_SHOWN, : self._table.n]).tolist()
+        )
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """See `Tracker`."""
+        return self._table.shown_in(T_a_local)
 
     def displaced(self) -> list[Track]:
         """See `Tracker`."""
         table = self._table
-        is_late = table.times[_kernels.MISSED_S, : table.n] > _kernels.EXPECTED_S
-        return table.listed(np.flatnonzero(table.flags[_kernels.HAS_DISPLACED, : table.n] & ~is_late).tolist())
+        is_late = table.times[_table_kernels.MISSED_S, : table.n] > _table_kernels.EXPECTED_S
+        return table.listed(
+            np.flatnonzero(table.flags[_table_kernels.HAS_DISPLACED, : table.n] & ~is_late).tolist()
+        )
 
     def on_displaced(self, n_beams: int) -> BoolArray:
         """See `Tracker`."""
@@ -73,7 +89,7 @@ class SegmentTracker:
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """Predict to `stamp_s`, join segments to tracks, begin and end tracks.
 
         Parameters
@@ -84,10 +100,6 @@ class SegmentTracker:
             See `Tracker`; without a view each cluster is one segment, with one they are not looked at.
         view : ScanView, optional
             The scan itself: its segments, and what the laser sees where no object was found.
-
-        Returns
-        -------
-        Confirmed tracks that were seen a moment ago.
         """
         dt = self._clock.advance(stamp_s)
         table = self._table
@@ -96,7 +108,7 @@ class SegmentTracker:
             table.reserve(len(rows))
             self._is_displaced = np.empty(len(segment), dtype=np.bool_)
             done = _kernels.follow(
-                rows, segment, False, _NO_POSE, 0.0, 1.0, _NO_RANGES, _NO_BEAMS, _NO_BEAMS,
+                rows, segment, False, _NO_POSE, 0.0, 1.0, _NO_RANGES, _NO_BEAMS, np.inf,
                 dt, self._limits, table.n, table.next_id, *table.columns(len(segment)), self._is_displaced,
             )  # fmt: skip
         else:
@@ -105,14 +117,18 @@ class SegmentTracker:
             self._is_displaced = np.empty(n_beams, dtype=np.bool_)
             done = _kernels.follow_scan(
                 view.points, view.packed_cov, view.cluster, view.is_proven, view.T_local_laser, view.angle_min,
-                view.angle_increment, view.ranges, view.is_valid, view.is_no_return,
+                view.angle_increment, view.ranges, view.is_valid, view.no_return_m,
                 dt, self._limits, table.n, table.next_id, *table.columns(n_beams), self._is_displaced,
             )  # fmt: skip
-        table.n, table.next_id, table.n_seen = done
-        return table.listed(np.flatnonzero(table.flags[_kernels.IS_SHOWN, : table.n]).tolist())
+        table.n, table.next_id, *n_latest = done
+        table.n_latest = n_latest[0], n_latest[1]
 
     def _segments(
-        self, centres: FloatArray, centre_covs: FloatArray, beams: Sequence[IntArray], is_proven: BoolArray | None
+        self,
+        centres: FloatArray,
+        centre_covs: FloatArray,
+        beams: Sequence[IntArray],
+        is_proven: BoolArray | None,
     ) -> tuple[FloatArray, IntArray]:
         """(k, 8) table of the clusters as segments, and the segment of each beam."""
         proven = np.full(len(centres), True) if is_proven is None else is_proven

@@ -2,9 +2,14 @@
 
 import numpy as np
 
+from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking import _follow_kernels as _kernels
+from slammot_graph.tracking import _table_kernels as _kernels
 from slammot_graph.tracking.base import Sightings, Track
+
+Columns = tuple[
+    FloatArray, FloatArray, FloatArray, IntArray, FloatArray, BoolArray, FloatArray, IntArray, IntArray
+]
 
 _ROOM = 64
 """Tracks that there is room for at first."""
@@ -15,8 +20,10 @@ class TrackTable:
 
     Attributes
     ----------
-    n, next_id, n_seen : int
-        Number of tracks, next identity, number of sightings.
+    n, next_id : int
+        Number of tracks, next identity.
+    n_latest : tuple of two int
+        Numbers of the latest scan's sightings, and of the tracks that are to be shown.
     states, covs, starts : (room, 4), (room, 4, 4), (room, 2) arrays
         x, y, vx, vy [m, m/s]; where each was first seen [m].
     whole, times, flags : (4, room), (4, room), (2, room) arrays
@@ -28,7 +35,8 @@ class TrackTable:
     """
 
     def __init__(self) -> None:
-        self.n = self.next_id = self.n_seen = 0
+        self.n = self.next_id = 0
+        self.n_latest = 0, 0
         self.states: FloatArray = np.zeros((_ROOM, 4))
         self.covs: FloatArray = np.zeros((_ROOM, 4, 4))
         self.starts: FloatArray = np.zeros((_ROOM, 2))
@@ -51,7 +59,7 @@ class TrackTable:
             rows = getattr(self, name)
             setattr(self, name, np.concatenate([rows, np.zeros((len(rows), more), rows.dtype)], axis=1))
 
-    def columns(self, n_beams: int) -> tuple[FloatArray | IntArray | BoolArray, ...]:
+    def columns(self, n_beams: int) -> Columns:
         """Give what the kernels take, in their order, with new room for the beams of a scan."""
         self.beams = np.empty(n_beams, dtype=np.int64)
         return (
@@ -65,7 +73,10 @@ class TrackTable:
             return []
         states, covs = self.states[: self.n].copy(), self.covs[: self.n].copy()
         starts, at = self.starts[: self.n].copy(), self.beam_starts[: self.n + 1].tolist()
-        ids, n_hits = self.whole[_kernels.ID, : self.n].tolist(), self.whole[_kernels.N_HITS, : self.n].tolist()
+        ids, n_hits = (
+            self.whole[_kernels.ID, : self.n].tolist(),
+            self.whole[_kernels.N_HITS, : self.n].tolist(),
+        )
         missed_s = self.times[_kernels.MISSED_S, : self.n].tolist()
         return [
             Track(
@@ -80,9 +91,42 @@ class TrackTable:
             for t in rows
         ]
 
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """Give the tracks that are to be shown in a frame a in which the table's lies at (3,)."""
+        n_shown = self.n_latest[1] if self.n else 0
+        if not n_shown:
+            return ()
+        which, motion, covs = (
+            np.empty((n_shown, 3), dtype=np.int64),
+            np.empty((n_shown, 4)),
+            np.empty((n_shown, 2, 2)),
+        )
+        _kernels.list_shown(
+            self.n,
+            self.states,
+            self.covs,
+            self.whole,
+            self.flags,
+            self.beam_starts,
+            T_a_local,
+            which,
+            motion,
+            covs,
+        )
+        return tuple(
+            TrackState(
+                track_id=number,
+                position=motion[k, :2],
+                velocity=motion[k, 2:],
+                position_cov=covs[k],
+                beams=self.beams[first:end],
+            )
+            for k, (number, first, end) in enumerate(which.tolist())
+        )
+
     def sightings(self) -> Sightings:
         """Give what was seen at the latest scan."""
-        rows = self.seen[: self.n_seen].copy()
+        rows = self.seen[: self.n_latest[0]].copy()
         return Sightings(
             ids=rows[:, 0].astype(np.int64),
             places=rows[:, 1:3],

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite
+from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
-from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking.base import ScanView, Track, track_states
 from slammot_graph.tracking.clock import TrackerClock
 
 
@@ -70,6 +71,14 @@ class KalmanTracker:
         states = np.array([track.state for track in self.displaced()]).reshape(-1, 4)
         return states[:, :2] + dt * states[:, 2:]
 
+    def shown(self) -> list[Track]:
+        """Confirmed tracks."""
+        return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """See `Tracker`."""
+        return track_states(self.shown(), T_a_local)
+
     def displaced(self) -> list[Track]:
         """Confirmed tracks of objects that have displaced."""
         return [
@@ -94,7 +103,7 @@ class KalmanTracker:
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """Predict to `stamp_s`, join clusters to tracks, begin and end tracks.
 
         Parameters
@@ -112,14 +121,10 @@ class KalmanTracker:
             not keep one alive. By default all are proven.
         view : ScanView, optional
             Not looked at.
-
-        Returns
-        -------
-        Confirmed tracks.
         """
         dt = self._clock.advance(stamp_s)
         if not self.tracks and not len(centres):
-            return []
+            return
         proven = [True] * len(centres) if is_proven is None else is_proven.tolist()
         noise = centre_covs + self._centre_cov
         states = np.array([track.state for track in self.tracks]).reshape(-1, 4)
@@ -141,7 +146,6 @@ class KalmanTracker:
             if proven[c] and c not in joined
         ]
         self.tracks = kept + begun
-        return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
 
     def _assign(
         self, states: FloatArray, covs: FloatArray, centres: FloatArray, noise: FloatArray
