@@ -47,6 +47,7 @@ from slammot_graph.tracking._table_kernels import (
     SEGMENT_GAP,
     SHOWN_S,
     SIGHT,
+    STANDING_DISTANCE,
     STANDING_GAP,
     STANDING_REACH,
     STANDING_SPEED,
@@ -96,7 +97,11 @@ def follow_scan(
     standing = np.empty((n, 2))
     n_standing = 0
     for t in range(n):
-        if flags[HAS_DISPLACED, t] and math.hypot(states[t, 2], states[t, 3]) < limits[STANDING_SPEED]:
+        away = math.hypot(states[t, 0] - starts[t, 0], states[t, 1] - starts[t, 1])
+        has_walked = flags[HAS_DISPLACED, t] or (
+            whole[N_HITS, t] >= limits[N_CONFIRM] and away >= limits[STANDING_DISTANCE]
+        )
+        if has_walked and math.hypot(states[t, 2], states[t, 3]) < limits[STANDING_SPEED]:
             standing[n_standing, 0] = states[t, 0]
             standing[n_standing, 1] = states[t, 1]
             n_standing += 1
@@ -162,7 +167,7 @@ def follow(
         predict(states[:n], covs[:n], dt, limits[ACCELERATION_STD])
     n_seen = 0
     if n > 0 and k > 0:
-        n_seen = _join(table, limits, n, states, covs, whole, primary, owner, seen)
+        n_seen = _join(table, limits, n, states, covs, whole, times, primary, owner, seen)
     is_hit = np.empty(n, dtype=np.bool_)
     note_sightings(
         primary, owner, table, dt, states[:n], starts[:n], int(limits[N_CONFIRM]), limits[MIN_DISTANCE], is_hit,
@@ -222,6 +227,7 @@ def _join(
     states: FloatArray,
     covs: FloatArray,
     whole: IntArray,
+    times: FloatArray,
     primary: IntArray,
     owner: IntArray,
     seen: FloatArray,
@@ -229,7 +235,8 @@ def _join(
     """Join segments to the n tracks and correct them; fills the first rows of `seen` and returns their number."""
     level = np.empty(n, dtype=np.int64)
     for t in range(n):
-        level[t] = 0 if whole[N_HITS, t] >= limits[N_CONFIRM] else 1
+        is_followed = times[MISSED_S, t] <= limits[SHOWN_S]
+        level[t] = 2 if whole[N_HITS, t] < limits[N_CONFIRM] else 0 if is_followed else 1
     assign(
         states[:n], covs[:n], level, table, limits[LEG_VARIANCE], limits[GATE], limits[MAX_JUMP], limits[BODY],
         primary, owner,

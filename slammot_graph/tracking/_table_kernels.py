@@ -23,8 +23,9 @@ HAS_DISPLACED, IS_SHOWN = range(2)
     ACCELERATION_STD, LEG_VARIANCE, BODY_VARIANCE, START_SPEED_VARIANCE, GATE, MAX_JUMP, SEGMENT_GAP, STANDING_REACH,
     STANDING_GAP, STANDING_SPEED, LEG_WIDTH, BODY, APART, TWIN, MAX_TWIN_S, N_CONFIRM, SHOWN_S, MAX_EMPTY_S,
     MAX_UNPROVEN_S, MIN_UNPROVEN_POINTS, MAX_MISSED_S, MIN_DISTANCE,
-) = range(22)  # fmt: skip
-"""Entries of the limits (22,): the tracker's configuration as numbers."""
+    STANDING_DISTANCE,
+) = range(23)  # fmt: skip
+"""Entries of the limits (23,): the tracker's configuration as numbers."""
 
 EXPECTED_S = 1.0
 """An object that has displaced is expected for so long after a sighting [s]."""

@@ -28,8 +28,9 @@ class SegmentTrackerConfig(Checked):
         Nor is a segment farther than this from where a track was predicted.
     segment_gap_m : float
         Neighbouring beams farther apart belong to different segments.
-    standing_reach_m, standing_gap_m, standing_speed_m_s : float
-        Points this near to a slow object that has displaced are its own, if nothing else is within the gap beside them.
+    standing_reach_m, standing_gap_m, standing_speed_m_s, standing_distance_m : float
+        Points this near to a slow object that has gone some distance are its own, if nothing else is within the gap
+        beside them.
     leg_width_m : float
         A wider segment is more than a leg.
     body_m : float
@@ -67,6 +68,7 @@ class SegmentTrackerConfig(Checked):
     standing_reach_m: Positive = 0.35
     standing_gap_m: Positive = 0.15
     standing_speed_m_s: Positive = 0.5
+    standing_distance_m: Positive = 0.5
     leg_width_m: Positive = 0.25
     body_m: Positive = 0.5
     apart_m: NotNegative = 0.7
@@ -82,7 +84,7 @@ class SegmentTrackerConfig(Checked):
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
 
     def limits(self) -> FloatArray:
-        """(22,) what the kernels take, in the order that they name."""
+        """(23,) what the kernels take, in the order that they name."""
         return np.array(
             [
                 self.acceleration_std_m_s2,
@@ -107,6 +109,7 @@ class SegmentTrackerConfig(Checked):
                 self.min_unproven_points,
                 self.max_missed_s,
                 self.min_distance_m,
+                self.standing_distance_m,
             ],
             dtype=np.float64,
         )
