@@ -36,7 +36,7 @@ def find_standing(
         for k in range(n):
             is_moving = is_moving or (
                 cluster[k] >= 0
-                and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= 1.5 * reach
+                and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= reach
             )
         if is_moving:
             continue

@@ -46,6 +46,8 @@ class SmoothingConfig(Checked):
         A chain that is nearer than this to a longer one most of the time follows the same object.
     gate : float
         Largest squared Mahalanobis distance of a link (13.28: 99% for four dimensions).
+    max_gap_std_m : float
+        Between two sightings a place that is known less well than this is left out.
     """
 
     acceleration_std_m_s2: Positive = 1.5
@@ -55,6 +57,7 @@ class SmoothingConfig(Checked):
     max_absence_s: Positive = 3.0
     twin_m: Positive = 0.5
     gate: Positive = 13.28
+    max_gap_std_m: Positive = 0.2
 
 
 class SightingHistory:
@@ -164,11 +167,14 @@ def smooth_tracks(
     for number, chain in enumerate(kept):
         every = np.arange(chain.scans[0], chain.scans[-1] + 1)
         state, cov = chain.smoothed(every, stamps, config)
-        scans.append(every)
-        ids.append(np.full(len(every), number))
-        states.append(state)
-        covs.append(cov[:, :2, :2])
-        is_seen.append(np.isin(every, chain.scans))
+        seen = np.isin(every, chain.scans)
+        variance = np.linalg.eigvalsh(cov[:, :2, :2])[:, 1]
+        is_known = seen | (variance <= config.max_gap_std_m**2)
+        scans.append(every[is_known])
+        ids.append(np.full(len(scans[-1]), number))
+        states.append(state[is_known])
+        covs.append(cov[is_known, :2, :2])
+        is_seen.append(seen[is_known])
     return SmoothedTracks(
         scans=np.concatenate([np.empty(0, dtype=np.int64), *scans]),
         ids=np.concatenate([np.empty(0, dtype=np.int64), *ids]),
