@@ -12,6 +12,8 @@ from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking._kernels import correct, predict
 from slammot_graph.tracking._segment_kernels import (
+    N_POINTS,
+    N_PROVEN,
     assign,
     beams_by_track,
     drop_weak,
@@ -39,11 +41,13 @@ from slammot_graph.tracking._table_kernels import (
     MAX_TWIN_S,
     MAX_UNPROVEN_S,
     MIN_DISTANCE,
+    MIN_ON_FREE,
     MIN_UNPROVEN_POINTS,
     MISSED_S,
     N_ALONE,
     N_CONFIRM,
     N_HITS,
+    N_ON_FREE,
     SEGMENT_GAP,
     SHOWN_S,
     SIGHT,
@@ -99,7 +103,8 @@ def follow_scan(
     for t in range(n):
         away = math.hypot(states[t, 0] - starts[t, 0], states[t, 1] - starts[t, 1])
         has_walked = flags[HAS_DISPLACED, t] or (
-            whole[N_HITS, t] >= limits[N_CONFIRM] and away >= limits[STANDING_DISTANCE]
+            whole[N_HITS, t] >= limits[N_CONFIRM]
+            and (away >= limits[STANDING_DISTANCE] or whole[N_ON_FREE, t] >= limits[MIN_ON_FREE])
         )
         if has_walked and math.hypot(states[t, 2], states[t, 3]) < limits[STANDING_SPEED]:
             standing[n_standing, 0] = states[t, 0]
@@ -200,6 +205,7 @@ def follow(
             or times[UNPROVEN_S, t] > limits[MAX_UNPROVEN_S]
             or (whole[N_HITS, t] < limits[N_CONFIRM] and times[MISSED_S, t] > limits[SHOWN_S])
         )
+    _count_on_free(table, owner, whole[N_ON_FREE][:n])
     n_born = begin(
         table, limits, n, next_id, is_ended, states, covs, starts, whole, times, flags, owner, seen[n_seen:]
     )
@@ -217,6 +223,21 @@ def follow(
         )
         n_shown += flags[IS_SHOWN, t]
     return kept, next_id + n_born, n_seen + n_born, n_shown
+
+
+@kernel
+def _count_on_free(table: FloatArray, owner: IntArray, n_on_free: IntArray) -> None:
+    """Count in `n_on_free` (n,) the sightings of which at least half the points were on free cells."""
+    free = np.zeros(n_on_free.shape[0])
+    for s in range(table.shape[0]):
+        if owner[s] >= 0:
+            free[owner[s]] += table[s, N_PROVEN] - 0.5 * table[s, N_POINTS]
+    for t in range(n_on_free.shape[0]):
+        is_seen = False
+        for s in range(table.shape[0]):
+            is_seen = is_seen or owner[s] == t
+        if is_seen and free[t] >= 0.0:
+            n_on_free[t] += 1
 
 
 @kernel

@@ -9,8 +9,9 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking._kernels import carry_track
 from slammot_graph.tracking._segment_kernels import N_POINTS, N_PROVEN, X, Y, group_unowned, measure
 
-ID, N_HITS, N_ALONE, SIGHT = range(4)
-"""Rows of the whole numbers (4, n): identity, sightings, those with no other track near, what the laser sees there."""
+ID, N_HITS, N_ALONE, SIGHT, N_ON_FREE = range(5)
+"""Rows of the whole numbers (5, n): identity, sightings, those with no other track near, what the laser sees there,
+sightings of which at least half the points were on free cells."""
 
 MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S = range(4)
 """Rows of the times (4, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
@@ -23,9 +24,9 @@ HAS_DISPLACED, IS_SHOWN = range(2)
     ACCELERATION_STD, LEG_VARIANCE, BODY_VARIANCE, START_SPEED_VARIANCE, GATE, MAX_JUMP, SEGMENT_GAP, STANDING_REACH,
     STANDING_GAP, STANDING_SPEED, LEG_WIDTH, BODY, APART, TWIN, MAX_TWIN_S, N_CONFIRM, SHOWN_S, MAX_EMPTY_S,
     MAX_UNPROVEN_S, MIN_UNPROVEN_POINTS, MAX_MISSED_S, MIN_DISTANCE,
-    STANDING_DISTANCE,
-) = range(23)  # fmt: skip
-"""Entries of the limits (23,): the tracker's configuration as numbers."""
+    STANDING_DISTANCE, MIN_ON_FREE,
+) = range(24)  # fmt: skip
+"""Entries of the limits (24,): the tracker's configuration as numbers."""
 
 EXPECTED_S = 1.0
 """An object that has displaced is expected for so long after a sighting [s]."""

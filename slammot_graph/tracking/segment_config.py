@@ -31,6 +31,8 @@ class SegmentTrackerConfig(Checked):
     standing_reach_m, standing_gap_m, standing_speed_m_s, standing_distance_m : float
         Points this near to a slow object that has gone some distance are its own, if nothing else is within the gap
         beside them.
+    min_on_free : int
+        The same of one that stood on free cells at so many sightings: it was not there before.
     leg_width_m : float
         A wider segment is more than a leg.
     body_m : float
@@ -69,6 +71,7 @@ class SegmentTrackerConfig(Checked):
     standing_gap_m: Positive = 0.15
     standing_speed_m_s: Positive = 0.5
     standing_distance_m: Positive = 0.5
+    min_on_free: Count = 15
     leg_width_m: Positive = 0.25
     body_m: Positive = 0.5
     apart_m: NotNegative = 0.7
@@ -84,7 +87,7 @@ class SegmentTrackerConfig(Checked):
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
 
     def limits(self) -> FloatArray:
-        """(23,) what the kernels take, in the order that they name."""
+        """(24,) what the kernels take, in the order that they name."""
         return np.array(
             [
                 self.acceleration_std_m_s2,
@@ -110,6 +113,7 @@ class SegmentTrackerConfig(Checked):
                 self.max_missed_s,
                 self.min_distance_m,
                 self.standing_distance_m,
+                self.min_on_free,
             ],
             dtype=np.float64,
         )

@@ -26,7 +26,7 @@ class TrackTable:
         Numbers of the latest scan's sightings, and of the tracks that are to be shown.
     states, covs, starts : (room, 4), (room, 4, 4), (room, 2) arrays
         x, y, vx, vy [m, m/s]; where each was first seen [m].
-    whole, times, flags : (4, room), (4, room), (2, room) arrays
+    whole, times, flags : (5, room), (4, room), (2, room) arrays
         Their rows are named in the kernels.
     seen : (room, 7) array
         Identity, x, y [m], xx, xy, yy [m^2], extent [m] of each sighting.
@@ -40,7 +40,7 @@ class TrackTable:
         self.states: FloatArray = np.zeros((_ROOM, 4))
         self.covs: FloatArray = np.zeros((_ROOM, 4, 4))
         self.starts: FloatArray = np.zeros((_ROOM, 2))
-        self.whole: IntArray = np.zeros((4, _ROOM), dtype=np.int64)
+        self.whole: IntArray = np.zeros((5, _ROOM), dtype=np.int64)
         self.times: FloatArray = np.zeros((4, _ROOM))
         self.flags: BoolArray = np.zeros((2, _ROOM), dtype=np.bool_)
         self.seen: FloatArray = np.zeros((_ROOM, 7))

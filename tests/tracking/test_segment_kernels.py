@@ -173,7 +173,7 @@ def standing_twin(
     step = np.hypot(*np.diff(points, axis=0).T)
     for place in places:
         away = np.hypot(*(points - place).T)
-        if ((cluster >= 0) & (away <= 1.5 * reach)).any():
+        if ((cluster >= 0) & (away <= reach)).any():
             continue
         near = is_valid & (cluster < 0) & (away <= reach)
         k = 0

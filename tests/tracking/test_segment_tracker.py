@@ -128,6 +128,32 @@ def test_who_stands_still_and_does_not_move_any_more_is_kept() -> None:
     assert math.hypot(*stands.state[2:]) < 0.1
 
 
+def test_who_came_while_nobody_looked_and_stands_is_kept() -> None:
+    watched = Watched()
+    for _ in range(20):  # on cells that were free before, but never seen to move
+        watched.see(legs(3.0, 0.4, 0.0))
+    for _ in range(30):
+        (stands,) = watched.see(legs(3.0, 0.4, 0.0), [False, False])
+    assert stands.track_id == 0
+    unproven = Watched()
+    for _ in range(5):
+        unproven.see(legs(3.0, 0.4, 0.0))
+    for _ in range(30):
+        last = unproven.see(legs(3.0, 0.4, 0.0), [False, False])
+    assert last == []
+
+
+def test_who_comes_back_does_not_take_the_leg_of_another() -> None:
+    watched = Watched()
+    for k in range(20):
+        watched.see(legs(3.0, -1.5 + 0.1 * k, 0.5 * k) + legs(3.0, 2.5 - 0.1 * k, 0.5 * k))
+    pillar = (1.5, 0.24, 0.1)  # hides the second one for good
+    for k in range(20):
+        shown = watched.see([*legs(3.0, 0.4 - 0.01 * k, 0.5 * k), pillar], [True, True, False])
+    assert len(shown) == 1
+    assert len(watched.tracker.sightings.ids) == 1
+
+
 def test_a_wall_is_nobody_who_stands() -> None:
     watched = Watched()
     watched.walk(20)
