@@ -92,7 +92,7 @@ def sightings_of_labels(
 
     Returns
     -------
-    (m, 8) array
+    (m, 9) array
         As of `SightingHistory.table`.
     """
     found = SightingHistory()

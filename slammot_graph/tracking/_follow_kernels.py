@@ -60,6 +60,7 @@ from slammot_graph.tracking._table_kernels import (
     UNPROVEN_S,
     begin,
     compact,
+    measure_thickness,
     note,
 )
 
@@ -125,10 +126,12 @@ def follow_scan(
         points, packed_cov, cluster, is_proven, T_laser[0], T_laser[1], angle_increment, limits[SEGMENT_GAP], PUSH,
         limits[LEG_WIDTH], segment, table,
     )  # fmt: skip
-    return follow(
+    done = follow(
         table[:n_segments], segment, True, T_laser, angle_min, angle_increment, ranges, is_valid, no_return, dt,
         limits, n, next_id, states, covs, starts, whole, times, flags, seen, beam_starts, beams, is_displaced,
     )  # fmt: skip
+    measure_thickness(points, done[0], whole, beam_starts, beams, seen[: done[2]])
+    return done
 
 
 @kernel

@@ -194,3 +194,36 @@ def list_shown(
         which[m, 2] = beam_starts[t + 1]
         carry_track(states[t], covs[t], T_a_b, motion[m], place_covs[m])
         m += 1
+
+
+@kernel
+def measure_thickness(
+    points: FloatArray, n: int, whole: IntArray, beam_starts: IntArray, beams: IntArray, seen: FloatArray
+) -> None:
+    """Fill the last column of `seen` (m, 8) with how far the points of each sighting lie off their line, rms [m].
+
+    NaN with fewer than 5 points. The sightings are those of some of the n tracks.
+    """
+    for m in range(seen.shape[0]):
+        seen[m, 7] = np.nan
+        for t in range(n):
+            if whole[ID, t] != seen[m, 0]:
+                continue
+            first = beam_starts[t]
+            count = beam_starts[t + 1] - first
+            if count < 5:
+                break
+            x = y = 0.0
+            for b in range(first, first + count):
+                x += points[beams[b], 0] / count
+                y += points[beams[b], 1] / count
+            xx = xy = yy = 0.0
+            for b in range(first, first + count):
+                dx = points[beams[b], 0] - x
+                dy = points[beams[b], 1] - y
+                xx += dx * dx / count
+                xy += dx * dy / count
+                yy += dy * dy / count
+            least = 0.5 * (xx + yy) - math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+            seen[m, 7] = math.sqrt(max(least, 0.0))
+            break

@@ -114,12 +114,15 @@ class Sightings:
     covs : (m, 2, 2) array [m^2]
     sizes_m : (m,) array
         Extent of what was seen.
+    thickness_m : (m,) array
+        How far its points lie off their line, root mean square; NaN with too few points.
     """
 
     ids: IntArray
     places: FloatArray
     covs: FloatArray
     sizes_m: FloatArray
+    thickness_m: FloatArray
 
 
 class Tracker(Protocol):

@@ -28,8 +28,8 @@ class TrackTable:
         x, y, vx, vy [m, m/s]; where each was first seen [m].
     whole, times, flags : (5, room), (4, room), (2, room) arrays
         Their rows are named in the kernels.
-    seen : (room, 7) array
-        Identity, x, y [m], xx, xy, yy [m^2], extent [m] of each sighting.
+    seen : (room, 8) array
+        Identity, x, y [m], xx, xy, yy [m^2], extent [m] of each sighting, and how far its points lie off their line.
     beam_starts, beams : (room + 1,), (n_beams,) int arrays
         Beams of track t: ``beams[beam_starts[t]:beam_starts[t + 1]]``.
     """
@@ -43,7 +43,7 @@ class TrackTable:
         self.whole: IntArray = np.zeros((5, _ROOM), dtype=np.int64)
         self.times: FloatArray = np.zeros((4, _ROOM))
         self.flags: BoolArray = np.zeros((2, _ROOM), dtype=np.bool_)
-        self.seen: FloatArray = np.zeros((_ROOM, 7))
+        self.seen: FloatArray = np.full((_ROOM, 8), np.nan)
         self.beam_starts: IntArray = np.zeros(_ROOM + 1, dtype=np.int64)
         self.beams: IntArray = np.zeros(0, dtype=np.int64)
 
@@ -132,4 +132,5 @@ class TrackTable:
             places=rows[:, 1:3],
             covs=rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2),
             sizes_m=rows[:, 6],
+            thickness_m=rows[:, 7],
         )

@@ -230,3 +230,42 @@ def test_expected_are_those_that_displaced_and_were_seen_of_late() -> None:
     times[_table_kernels.MISSED_S] = [1.5, 0.0, 0.0]
     assert _table_kernels.expected_places(3, 0.2, states, times, flags, out) == 1
     np.testing.assert_allclose(out[0], [3.0, 2.8])
+
+
+def test_the_thickness_is_how_far_points_lie_off_their_line() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(20, 2)) * (0.3, 0.02)
+    whole, seen = np.zeros((5, 3), dtype=np.int64), np.zeros((4, 8))
+    whole[_table_kernels.ID] = [7, 9, 12]
+    seen[:, 0] = [9, 7, 12, 8]
+    starts, beams = np.array([0, 9, 16, 20]), rng.permutation(20)
+    _table_kernels.measure_thickness(points, 3, whole, starts, beams, seen)
+    for m, t in ((0, 1), (1, 0)):
+        own = points[beams[starts[t] : starts[t + 1]]]
+        least = np.linalg.eigvalsh(np.cov(own.T, bias=True))[0]
+        assert seen[m, 7] == pytest.approx(math.sqrt(least))
+    assert np.isnan(seen[2:, 7]).all()  # too few points, and a track that has ended
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_tracks_that_have_ended_leave_no_gap(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, born, room = 6, 2, 10
+    is_ended, owner = rng.random(n) < 0.4, rng.integers(-1, n + born, 12)
+    states, covs, starts = (
+        rng.normal(size=(room, 4)),
+        rng.normal(size=(room, 4, 4)),
+        rng.normal(size=(room, 2)),
+    )
+    whole, times, flags = rng.integers(0, 99, (5, room)), rng.random((4, room)), rng.random((2, room)) < 0.5
+    stays = np.flatnonzero(np.append(~is_ended, [True] * born))
+    expected = [column[stays].copy() for column in (states, covs, starts)]
+    expected += [rows[:, stays].copy() for rows in (whole, times, flags)]
+    of = [int(np.flatnonzero(stays == t)[0]) if t in stays else -1 for t in owner.tolist()]
+    kept = _table_kernels.compact(n, born, is_ended, states, covs, starts, whole, times, flags, owner)
+    assert kept == len(stays)
+    assert owner.tolist() == of
+    found = [column[:kept] for column in (states, covs, starts)]
+    found += [rows[:, :kept] for rows in (whole, times, flags)]
+    for one, right in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, right)
