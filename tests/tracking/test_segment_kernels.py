@@ -1,6 +1,7 @@
 """The kernels of the segment tracker against plain NumPy."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -259,13 +260,15 @@ def test_tracks_that_have_ended_leave_no_gap(seed: int) -> None:
     )
     whole, times, flags = rng.integers(0, 99, (5, room)), rng.random((4, room)), rng.random((2, room)) < 0.5
     stays = np.flatnonzero(np.append(~is_ended, [True] * born))
-    expected = [column[stays].copy() for column in (states, covs, starts)]
-    expected += [rows[:, stays].copy() for rows in (whole, times, flags)]
+    expected: list[Any] = [column[stays].copy() for column in (states, covs, starts)]
+    expected += [
+        rows[:, stays].copy() for rows in (whole, times, flags)
+    ]  # copies, since the kernel moves them
     of = [int(np.flatnonzero(stays == t)[0]) if t in stays else -1 for t in owner.tolist()]
     kept = _table_kernels.compact(n, born, is_ended, states, covs, starts, whole, times, flags, owner)
     assert kept == len(stays)
     assert owner.tolist() == of
-    found = [column[:kept] for column in (states, covs, starts)]
+    found: list[Any] = [column[:kept] for column in (states, covs, starts)]
     found += [rows[:, :kept] for rows in (whole, times, flags)]
     for one, right in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, right)
