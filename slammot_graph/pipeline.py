@@ -293,7 +293,7 @@ class Pipeline:
             is_valid=is_valid,
             is_moving=detection.is_moving,
             reason=detection.reason,
-            is_displaced=self.tracker.on_displaced(len(is_valid)),
+            on_objects=self.tracker.on_objects(len(is_valid)),
             cov_relative=self.detector.pose_covariance(matched),
             window=self.detector.window_start,
             is_doubtful=match is not None and match.status == "failed",

@@ -285,13 +285,14 @@ def pack_masks(
     is_valid: BoolArray,
     is_moving: BoolArray,
     reason: IntArray,
-    is_displaced: BoolArray,
+    on_objects: BoolArray,
     out: "npt.NDArray[np.uint8]",
 ) -> None:
-    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell, 8 on an object that has displaced."""
+    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell, 8 on what has displaced, 16 on what lasts."""
     for k in range(is_valid.shape[0]):
         bits = 1 if is_valid[k] else 0
         bits += 2 if is_moving[k] else 0
         bits += 4 if reason[k] == OCCUPIED else 0
-        bits += 8 if is_displaced[k] else 0
+        bits += 8 if on_objects[0, k] else 0
+        bits += 16 if on_objects[1, k] else 0
         out[k] = bits

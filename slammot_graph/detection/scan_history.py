@@ -35,6 +35,8 @@ class ScanRecord:
         Beams that hit an occupied cell.
     is_displaced : (n,) bool array
         Beams on tracked objects that have displaced.
+    is_lasting : (n,) bool array
+        Beams on those and on others that are no false alarm by all evidence.
     cov_relative : (3, 3) array
         Covariance of the matched pose in the test.
     window : int
@@ -48,6 +50,7 @@ class ScanRecord:
     is_moving: BoolArray
     is_wall: BoolArray
     is_displaced: BoolArray
+    is_lasting: BoolArray
     cov_relative: FloatArray
     window: int
     is_doubtful: bool
@@ -71,12 +74,12 @@ class ScanHistory(Sequence[ScanRecord]):
         is_valid: BoolArray,
         is_moving: BoolArray,
         reason: IntArray,
-        is_displaced: BoolArray,
+        on_objects: BoolArray,
         cov_relative: FloatArray,
         window: int,
         is_doubtful: bool,
     ) -> None:
-        """Add the next scan of n beams: see `ScanRecord`.
+        """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`.
 
         Raises
         ------
@@ -86,7 +89,7 @@ class ScanHistory(Sequence[ScanRecord]):
         if not self._lasers or self._lasers[-1] is not scan.laser:
             self._lasers.append(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
-        _kernels.pack_masks(is_valid, is_moving, reason, is_displaced, masks)
+        _kernels.pack_masks(is_valid, is_moving, reason, on_objects, masks)
         cov = cov_relative.ravel().tolist()
         laser = len(self._lasers) - 1
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, *cov)
@@ -129,7 +132,7 @@ class ScanHistory(Sequence[ScanRecord]):
         index, stamp, window, laser, n, is_doubtful, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
         ranges = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
         masks = np.frombuffer(self._file.read(n), dtype=np.uint8)
-        valid, moving, wall, displaced = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8))
+        valid, moving, wall, displaced, lasting = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8, 16))
         return ScanRecord(
             scan=Scan(
                 index=index,
@@ -142,6 +145,7 @@ class ScanHistory(Sequence[ScanRecord]):
             is_moving=moving,
             is_wall=wall,
             is_displaced=displaced,
+            is_lasting=lasting,
             cov_relative=np.array(cov).reshape(3, 3),
             window=window,
             is_doubtful=is_doubtful,

@@ -93,7 +93,7 @@ def follow_scan(
     seen: FloatArray,
     beam_starts: IntArray,
     beams: IntArray,
-    is_displaced: BoolArray,
+    on_objects: BoolArray,
 ) -> tuple[int, int, int, int]:
     """Find the segments of a scan (see `ScanView`), those of who stands included, and `follow` them."""
     n_beams = points.shape[0]
@@ -128,7 +128,7 @@ def follow_scan(
     )  # fmt: skip
     done = follow(
         table[:n_segments], segment, True, T_laser, angle_min, angle_increment, ranges, is_valid, no_return, dt,
-        limits, n, next_id, states, covs, starts, whole, times, flags, seen, beam_starts, beams, is_displaced,
+        limits, n, next_id, states, covs, starts, whole, times, flags, seen, beam_starts, beams, on_objects,
     )  # fmt: skip
     measure_thickness(points, done[0], whole, beam_starts, beams, seen[: done[2]])
     return done
@@ -158,14 +158,15 @@ def follow(
     seen: FloatArray,
     beam_starts: IntArray,
     beams: IntArray,
-    is_displaced: BoolArray,
+    on_objects: BoolArray,
 ) -> tuple[int, int, int, int]:
     """Predict the n tracks over `dt` [s], join, correct, begin and end them by the segments (k, 8) of a scan.
 
     Without a view (`has_view`) a track that was not sighted counts as seen through. Columns need room for k more. Fills
     `seen` with a row for each sighting: identity, x, y [m], xx, xy, yy [m^2], extent [m]; `beams` with those of track
-    0, 1 and so on, those of track t from ``beam_starts[t]`` to ``beam_starts[t + 1]``; and `is_displaced`, the beams on
-    objects that have displaced. Returns the number of tracks, the next identity, the numbers of sightings and of tracks
+    0, 1 and so on, those of track t from ``beam_starts[t]`` to ``beam_starts[t + 1]``; and `on_objects` (2, n) with the
+    beams on objects that have displaced, and on those that have or stood on free cells for long. Returns the number of
+    tracks, the next identity, the numbers of sightings and of tracks
     that are to be shown.
     """
     k = table.shape[0]
@@ -216,7 +217,8 @@ def follow(
     beams_by_track(segment, owner, beam_starts[: kept + 1], beams)
     for b in range(segment.shape[0]):
         t = owner[segment[b]] if segment[b] >= 0 else -1
-        is_displaced[b] = t >= 0 and flags[HAS_DISPLACED, t]
+        on_objects[0, b] = t >= 0 and flags[HAS_DISPLACED, t]
+        on_objects[1, b] = on_objects[0, b] or (t >= 0 and whole[N_ON_FREE, t] >= limits[MIN_ON_FREE])
     n_shown = 0
     for t in range(kept):
         flags[IS_SHOWN, t] = (

@@ -156,8 +156,8 @@ class Tracker(Protocol):
     def displaced(self) -> list[Track]:
         """Confirmed tracks of objects that have displaced."""
 
-    def on_displaced(self, n_beams: int) -> BoolArray:
-        """(n_beams,) beams of the latest scan on such objects."""
+    def on_objects(self, n_beams: int) -> BoolArray:
+        """(2, n_beams) beams of the latest scan on such objects; on these or others that are no false alarm."""
 
     def update(
         self,

@@ -50,9 +50,9 @@ class NoTracking:
         """See `Tracker`."""
         return []
 
-    def on_displaced(self, n_beams: int) -> BoolArray:
+    def on_objects(self, n_beams: int) -> BoolArray:
         """See `Tracker`."""
-        return np.zeros(n_beams, dtype=np.bool_)
+        return np.zeros((2, n_beams), dtype=np.bool_)
 
     def update(
         self,

@@ -29,7 +29,7 @@ class SegmentTracker:
         self._limits = config.limits()
         self._table = TrackTable()
         self._clock = TrackerClock(config.max_missed_s)
-        self._is_displaced: BoolArray | None = None
+        self._on_objects: BoolArray = np.zeros((2, 0), dtype=np.bool_)
 
     @property
     def n_tracks(self) -> int:
@@ -75,11 +75,9 @@ class SegmentTracker:
             np.flatnonzero(table.flags[_table_kernels.HAS_DISPLACED, : table.n] & ~is_late).tolist()
         )
 
-    def on_displaced(self, n_beams: int) -> BoolArray:
+    def on_objects(self, n_beams: int) -> BoolArray:
         """See `Tracker`."""
-        if not self._table.n or self._is_displaced is None:
-            return np.zeros(n_beams, dtype=np.bool_)
-        return self._is_displaced
+        return self._on_objects if self._table.n else np.zeros((2, n_beams), dtype=np.bool_)
 
     def update(
         self,
@@ -106,19 +104,19 @@ class SegmentTracker:
         if view is None:
             rows, segment = self._segments(centres, centre_covs, beams, is_proven)
             table.reserve(len(rows))
-            self._is_displaced = np.empty(len(segment), dtype=np.bool_)
+            self._on_objects = np.empty((2, len(segment)), dtype=np.bool_)
             done = _kernels.follow(
                 rows, segment, False, _NO_POSE, 0.0, 1.0, _NO_RANGES, _NO_BEAMS, np.inf,
-                dt, self._limits, table.n, table.next_id, *table.columns(len(segment)), self._is_displaced,
+                dt, self._limits, table.n, table.next_id, *table.columns(len(segment)), self._on_objects,
             )  # fmt: skip
         else:
             n_beams = len(view.points)
             table.reserve(n_beams)
-            self._is_displaced = np.empty(n_beams, dtype=np.bool_)
+            self._on_objects = np.empty((2, n_beams), dtype=np.bool_)
             done = _kernels.follow_scan(
                 view.points, view.packed_cov, view.cluster, view.is_proven, view.T_local_laser, view.angle_min,
                 view.angle_increment, view.ranges, view.is_valid, view.no_return_m,
-                dt, self._limits, table.n, table.next_id, *table.columns(n_beams), self._is_displaced,
+                dt, self._limits, table.n, table.next_id, *table.columns(n_beams), self._on_objects,
             )  # fmt: skip
         table.n, table.next_id, *n_latest = done
         table.n_latest = n_latest[0], n_latest[1]

@@ -88,11 +88,11 @@ class KalmanTracker:
             and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_distance_m
         ]
 
-    def on_displaced(self, n_beams: int) -> BoolArray:
-        """See `Tracker`."""
-        is_on = np.zeros(n_beams, dtype=np.bool_)
+    def on_objects(self, n_beams: int) -> BoolArray:
+        """See `Tracker`; both are the same."""
+        is_on = np.zeros((2, n_beams), dtype=np.bool_)
         for track in self.displaced():
-            is_on[track.beams] = True
+            is_on[:, track.beams] = True
         return is_on
 
     def update(
