@@ -288,7 +288,7 @@ def pack_masks(
     on_objects: BoolArray,
     out: "npt.NDArray[np.uint8]",
 ) -> None:
-    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell, 8 on what has displaced, 16 on what lasts."""
+    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell, 8 and 16 as of `on_objects` (2, n)."""
     for k in range(is_valid.shape[0]):
         bits = 1 if is_valid[k] else 0
         bits += 2 if is_moving[k] else 0
