@@ -7,7 +7,7 @@ import numpy as np
 
 from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking.base import ScanView, Track, track_states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class NoTracking:
 
     def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
         """See `Tracker`."""
-        return ()
+        return track_states(self.shown(), T_a_local)
 
     def displaced(self) -> list[Track]:
         """See `Tracker`."""
