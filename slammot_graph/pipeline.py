@@ -14,7 +14,7 @@ from slammot_graph.core.scan import Scan
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection.backward_pass import sightings_of_labels
-from slammot_graph.detection.base import Detection
+from slammot_graph.detection.base import NO_CLUSTERS, Detection
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
 from slammot_graph.detection.reasons import FREE
@@ -25,7 +25,7 @@ from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.final_map import MapScan, render_final_map
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
-from slammot_graph.tracking.base import ScanView, track_states
+from slammot_graph.tracking.base import ScanView
 from slammot_graph.tracking.factory import make_tracker
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
@@ -153,7 +153,8 @@ class Pipeline:
     def final_tracks(self, T_map_base: FloatArray, labels: list[BoolArray] | None) -> SmoothedTracks | None:
         """Link and smooth the tracks at the optimised poses (n, 3); None for a tracker that keeps no sightings.
 
-        With final labels what they call moving is tracked, else what was seen at the time.
+        What the final labels call moving is tracked, or the labels of the time where those could not be computed; for a
+        method without a backward pass what was tracked at the time.
         """
         config = self.config.tracker
         if not isinstance(config, SegmentTrackerConfig) or config.smoothing is None:
@@ -161,11 +162,11 @@ class Pipeline:
         stamps = np.array(self._stamps[: len(T_map_base)])
         sightings = self._sightings.table()
         detector = self.config.detector
-        if labels is not None and isinstance(detector, EllipseDetectorConfig):
+        if isinstance(detector, EllipseDetectorConfig) and self.detector.has_backward_pass:
             sightings = sightings_of_labels(
                 self._history,
                 T_map_base,
-                labels,
+                [seen.is_moving for seen in self._history] if labels is None else labels,
                 ellipse_test=detector.ellipse_test,
                 tracker=make_tracker(config),
                 range_fraction=self.config.range_fraction,
@@ -293,7 +294,7 @@ class Pipeline:
         """Feed the clusters of moving points to the tracker; report the tracks in the map frame."""
         self._stamps.append(scan.stamp)
         self._lasers.add(scan.laser.number)
-        if not detection.n_clusters and not self.tracker.tracks:
+        if not detection.n_clusters and not self.tracker.n_tracks:
             return ()
         view = ScanView.of_scan(
             scan,
@@ -307,11 +308,12 @@ class Pipeline:
         )
         if len(self._lasers) > 1:
             view = view.by_one_of_several()
-        tracks = self.tracker.update(scan.stamp, *detection.clusters(points), view)
-        sightings = self.tracker.sightings
+        clusters = detection.clusters(points) if self.tracker.needs_clusters else NO_CLUSTERS
+        self.tracker.update(scan.stamp, *clusters, view)
+        sightings = None if self.detector.has_backward_pass else self.tracker.sightings
         if sightings is not None:
             self._sightings.add(len(self._stamps) - 1, sightings, T_local_base)
-        return track_states(tracks, self.localizer.T_map_local)
+        return self.tracker.shown_in(self.localizer.T_map_local)
 
     def _remember(
         self,
@@ -329,7 +331,7 @@ class Pipeline:
             is_valid=is_valid,
             is_moving=detection.is_moving,
             reason=detection.reason,
-            displaced=[track.beams for track in self.tracker.displaced()],
+            on_objects=self.tracker.on_objects(len(is_valid)),
             cov_relative=self.detector.pose_covariance(matched),
             window=self.detector.window_start,
             is_doubtful=match is not None and match.status == "failed",

@@ -35,6 +35,7 @@ def evaluate_command(
     relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     truth: Annotated[Path | None, tyro.conf.arg(metavar="FILE.tum|npz")] = None,
     max_duration: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0,
+    mot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Compare a run with the truth: its trajectory, and with a simulated log also its moving points and its tracks.
 
@@ -52,7 +53,11 @@ def evaluate_command(
         knows its `is_moving`, `object_id` and `objects` also judges points and tracks.
     max_duration
         Show also the relations whose ends lie within this time of each other [s].
+    mot
+        Write tracks and truth in the MOTChallenge format into the folders `online` and `final` of this one.
     """
+    if mot is not None and (truth is None or truth.suffix != ".npz"):
+        raise InputError("--mot needs the true states of the objects: name --truth LOG.npz")
     if relations is None and truth is None:
         raise InputError("evaluate needs a ground truth: name --relations FILE or --truth FILE.tum")
     if not max_duration > 0.0:
@@ -63,7 +68,7 @@ def evaluate_command(
     if truth is not None:
         tables.append(_truth_table(directory, truth))
         if truth.suffix == ".npz":
-            tables += _object_tables(directory, truth)
+            tables += _object_tables(directory, truth, mot)
     for table in tables:
         stdout().print(table)
     return EXIT_OK
@@ -123,11 +128,17 @@ def _truth_table(directory: Path, truth: Path) -> Table:
     return table
 
 
-def _object_tables(directory: Path, truth: Path) -> list[Table]:
-    """Moving points and tracks, where the log knows them."""
+def _object_tables(directory: Path, truth: Path, mot: Path | None) -> list[Table]:
+    """Moving points and tracks, where the log knows them; writes them to a folder."""
     from slammot_graph.core.results import TRACK_COLUMNS
     from slammot_graph.core.stamps import have_same_times
-    from slammot_graph.evaluation import evaluate_points, evaluate_run_tracks, read_objects
+    from slammot_graph.evaluation import (
+        estimated_tracks,
+        evaluate_objects,
+        evaluate_points,
+        read_objects,
+        write_mot_challenge,
+    )
     from slammot_graph.logs import open_log
     from slammot_graph.run_folder.reader import read_run_folder
     from slammot_graph.run_folder.tracks import ONLINE_COLUMNS, read_track_columns
@@ -157,6 +168,8 @@ def _object_tables(directory: Path, truth: Path) -> list[Table]:
         tables.append(table)
     objects = read_objects(scans, points.is_valid)
     if objects is None:
+        if mot is not None:
+            raise InputError(f"{truth} does not know the true states of the objects, which --mot needs")
         return tables
     table = figure_table(
         f"Tracks of {directory} against {truth.name}, per appearance (per person)",
@@ -168,7 +181,10 @@ def _object_tables(directory: Path, truth: Path) -> list[Table]:
     for name, rows, poses in (("online", online[:, :9], online[:, 10:]), ("final", run.tracks, None)):
         if name == "online" and not (directory / "tracks_online.csv").exists():
             continue
-        scores = evaluate_run_tracks(run.stamps, run.T_map_base, rows, objects, poses)
+        estimate = estimated_tracks(run.stamps, run.T_map_base, rows, poses)
+        if mot is not None:
+            write_mot_challenge(mot / name, objects, estimate)
+        scores = evaluate_objects(objects, estimate)
         by_appearance, by_person = scores.appearance, scores.person
         table.add_row(
             name,

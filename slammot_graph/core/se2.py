@@ -179,6 +179,25 @@ def transform_points(T_a_b: FloatArray, points_b: FloatArray, points_a: FloatArr
 
 
 @kernel
+def compound_three(
+    cov_1: FloatArray,
+    cov_2: FloatArray,
+    cov_3: FloatArray,
+    T_a_b: FloatArray,
+    cov_b: FloatArray,
+    covs_out: FloatArray,
+) -> None:
+    """Fill `covs_out` (3, 3, 3) with three covariances (3, 3), each compounded as `compound_covariance` does."""
+    covs_a = np.empty((3, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            covs_a[0, i, j] = cov_1[i, j]
+            covs_a[1, i, j] = cov_2[i, j]
+            covs_a[2, i, j] = cov_3[i, j]
+    _compound_covariances(covs_a, T_a_b, cov_b, covs_out)
+
+
+@kernel
 def _compound_covariances(
     covs_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray, covs_out: FloatArray
 ) -> None:

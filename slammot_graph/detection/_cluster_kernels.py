@@ -375,3 +375,19 @@ def cluster_evidence(
         out[c, 5] = max(sums[c, 3] / n - l_min, 0.0)
         out[c, 6] = math.log(1.0 + width)
         out[c, 7] = 1.0 if nearest2 < 0.36 else 0.0
+
+
+@kernel
+def logistic_of_clusters(
+    evidence: FloatArray, weights: FloatArray, cluster: IntArray, out: FloatArray
+) -> None:
+    """Set the beams of clusters in `out` (n,) to ``1 / (1 + exp(-evidence @ weights))`` of theirs."""
+    p = np.empty(evidence.shape[0])
+    for c in range(evidence.shape[0]):
+        total = 0.0
+        for i in range(weights.shape[0]):
+            total += evidence[c, i] * weights[i]
+        p[c] = 1.0 / (1.0 + math.exp(-total))
+    for k in range(cluster.shape[0]):
+        if cluster[k] >= 0:
+            out[k] = p[cluster[k]]

@@ -80,6 +80,8 @@ def sightings_of_labels(
 ) -> FloatArray:
     """Track once more, forward, what the final labels call moving: who was seen too late at the time is seen at once.
 
+    Who came while nobody looked and stood for good is furniture to the labels, but still an object that was followed.
+
     Parameters
     ----------
     history, T_map_base
@@ -94,13 +96,14 @@ def sightings_of_labels(
 
     Returns
     -------
-    (m, 8) array
+    (m, 9) array
         As of `SightingHistory.table`.
     """
     found = SightingHistory()
     has_several = history.n_lasers > 1
-    for k, (item, is_moving) in enumerate(zip(history, labels, strict=False)):
+    for k, (item, label) in enumerate(zip(history, labels, strict=False)):
         scan, T = item.scan, T_map_base[k]
+        is_moving = label | item.is_lasting
         view = ScanView.of_scan(
             scan,
             T,

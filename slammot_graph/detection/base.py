@@ -74,6 +74,15 @@ class Detection:
         )
 
 
+NO_CLUSTERS: tuple[FloatArray, FloatArray, list[IntArray], BoolArray] = (
+    np.empty((0, 2)),
+    np.empty((0, 2, 2)),
+    [],
+    np.empty(0, dtype=np.bool_),
+)
+"""As of `Detection.clusters` where there is none."""
+
+
 class PoseEstimate(Protocol):
     """The pose at which a scan is tested; covariances are right perturbations (body frame)."""
 

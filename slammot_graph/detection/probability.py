@@ -92,8 +92,7 @@ def probability_of_moving(
     p = probability_without_clusters(detection)
     if detection.n_clusters:
         evidence = cluster_evidence(detection, points, ranges, grid, expected)
-        p_cluster = 1.0 / (1.0 + np.exp(-evidence @ WEIGHTS))
-        p[detection.is_moving] = p_cluster[detection.cluster[detection.is_moving]]
+        _cluster_kernels.logistic_of_clusters(evidence, WEIGHTS, detection.cluster, p)
     return p
 
 

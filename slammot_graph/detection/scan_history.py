@@ -37,6 +37,8 @@ class ScanRecord:
         Beams that hit an occupied cell.
     is_displaced : (n,) bool array
         Beams on tracked objects that have displaced.
+    is_lasting : (n,) bool array
+        Beams on those and on others that are no false alarm by all evidence.
     cov_relative : (3, 3) array
         Covariance of the matched pose in the test.
     window : int
@@ -50,6 +52,7 @@ class ScanRecord:
     is_moving: BoolArray
     is_wall: BoolArray
     is_displaced: BoolArray
+    is_lasting: BoolArray
     cov_relative: FloatArray
     window: int
     is_doubtful: bool
@@ -82,12 +85,12 @@ class ScanHistory(Sequence[ScanRecord]):
         is_valid: BoolArray,
         is_moving: BoolArray,
         reason: IntArray,
-        displaced: Sequence[IntArray],
+        on_objects: BoolArray,
         cov_relative: FloatArray,
         window: int,
         is_doubtful: bool,
     ) -> None:
-        """Add the next scan of n beams: see `ScanRecord`; `displaced` are the beams of each object that has displaced.
+        """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`.
 
         Raises
         ------
@@ -100,9 +103,7 @@ class ScanHistory(Sequence[ScanRecord]):
         if laser == len(self._lasers):
             self._lasers.append(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
-        _kernels.pack_masks(is_valid, is_moving, reason, masks)
-        for beams in displaced:
-            masks[beams] |= 8
+        _kernels.pack_masks(is_valid, is_moving, reason, on_objects, masks)
         cov = cov_relative.ravel().tolist()
         n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
@@ -155,7 +156,7 @@ class ScanHistory(Sequence[ScanRecord]):
         ranges = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
         masks = np.frombuffer(self._file.read(n), dtype=np.uint8)
         beam_times, sweep = self._read_sweep(n, n_knots)
-        valid, moving, wall, displaced = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8))
+        valid, moving, wall, displaced, lasting = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8, 16))
         return ScanRecord(
             scan=Scan(
                 index=index,
@@ -170,6 +171,7 @@ class ScanHistory(Sequence[ScanRecord]):
             is_moving=moving,
             is_wall=wall,
             is_displaced=displaced,
+            is_lasting=lasting,
             cov_relative=np.array(cov).reshape(3, 3),
             window=window,
             is_doubtful=is_doubtful,

@@ -16,10 +16,12 @@ from slammot_graph.evaluation.consistency import (
     run_consistency,
 )
 from slammot_graph.evaluation.maps import MapScores, evaluate_map
+from slammot_graph.evaluation.mot_challenge import write_mot_challenge
 from slammot_graph.evaluation.objects import (
     EstimatedTracks,
     ObjectScores,
     TrueObjects,
+    estimated_tracks,
     evaluate_objects,
     evaluate_run_tracks,
     read_objects,
@@ -89,6 +91,7 @@ __all__ = [
     "compare",
     "distance_to_wall",
     "ellipse_coverage",
+    "estimated_tracks",
     "evaluate_map",
     "evaluate_objects",
     "evaluate_points",
@@ -111,4 +114,5 @@ __all__ = [
     "strata",
     "summarize",
     "true_path",
+    "write_mot_challenge",
 ]

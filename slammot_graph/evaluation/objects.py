@@ -219,6 +219,48 @@ def evaluate_objects(
     )
 
 
+def true_places(
+    truth: TrueObjects, T_map_base: FloatArray, *, min_beams: int = MIN_BEAMS, absent_s: float = ABSENT_S
+) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
+    """Rows of the truth in the map of estimated poses (n, 3): scan, appearance, place [m], and whether it counts.
+
+    Rows that do not count belong to the appearance before them; -1 before the first one.
+    """
+    n = len(T_map_base)
+    frames, people = np.nonzero(np.isfinite(truth.objects[:n, :, :2]).all(axis=2))
+    places, _ = _in_map(truth, T_map_base, frames, people)
+    is_seen = truth.n_beams[frames, people] >= min_beams
+    appearances = _appearances(truth.stamps[:n], frames, people, is_seen, absent_s)
+    for person in np.unique(people):
+        rows = np.flatnonzero(people == person)
+        last = np.maximum.accumulate(np.where(is_seen[rows], np.arange(len(rows)), -1))
+        appearances[rows] = np.where(last >= 0, appearances[rows[last]], -1)
+    return frames, appearances, places, is_seen
+
+
+def estimated_tracks(
+    stamps: FloatArray,
+    T_map_base: FloatArray,
+    tracks: FloatArray,
+    T_map_base_of_rows: FloatArray | None = None,
+) -> EstimatedTracks:
+    """Take the rows of a run's tracks; parameters and errors as of `evaluate_run_tracks`."""
+    frames = nearest_stamps(stamps, tracks[:, 0], 1e-4)
+    if (frames < 0).any():
+        raise InputError("tracks have times at which the run has no scan; were files of two runs mixed?")
+    poses = T_map_base.copy()
+    if T_map_base_of_rows is not None:
+        poses[frames] = T_map_base_of_rows
+    return EstimatedTracks(
+        frames=frames,
+        ids=tracks[:, 1].astype(np.int64),
+        positions=tracks[:, 2:4],
+        velocities=tracks[:, 4:6],
+        covs=tracks[:, [6, 7, 7, 8]].reshape(-1, 2, 2),
+        T_map_base=poses,
+    )
+
+
 def evaluate_run_tracks(
     stamps: FloatArray,
     T_map_base: FloatArray,
@@ -243,23 +285,7 @@ def evaluate_run_tracks(
     InputError
         A row has the time of no scan.
     """
-    frames = nearest_stamps(stamps, tracks[:, 0], 1e-4)
-    if (frames < 0).any():
-        raise InputError("tracks have times at which the run has no scan; were files of two runs mixed?")
-    poses = T_map_base.copy()
-    if T_map_base_of_rows is not None:
-        poses[frames] = T_map_base_of_rows
-    return evaluate_objects(
-        truth,
-        EstimatedTracks(
-            frames=frames,
-            ids=tracks[:, 1].astype(np.int64),
-            positions=tracks[:, 2:4],
-            velocities=tracks[:, 4:6],
-            covs=tracks[:, [6, 7, 7, 8]].reshape(-1, 2, 2),
-            T_map_base=poses,
-        ),
-    )
+    return evaluate_objects(truth, estimated_tracks(stamps, T_map_base, tracks, T_map_base_of_rows))
 
 
 def _points(estimate: EstimatedTracks, is_used: BoolArray | None = None) -> TrackPoints:

@@ -209,3 +209,38 @@ def _free_line(
         freed = max(value + l_pass, least)
         log_odds[i, j] = before if seen == now else freed  # no branch: which cells are new is hard to foresee
         stamp[i, j] = now
+
+
+@kernel
+def far_beams(
+    T_a_base: FloatArray,
+    origins_base: FloatArray,
+    directions_base: FloatArray,
+    reach: float,
+    is_missing: BoolArray,
+    points: FloatArray,
+    is_valid: BoolArray,
+    origins: FloatArray,
+    ends: FloatArray,
+    is_beam: BoolArray,
+) -> None:
+    """Let the beams that met nothing end at `reach` [m]: fills `ends` (n, 2), `is_beam` (n,) and `origins`.
+
+    The beams start from `origins_base` [m], (1, 2) or (n, 2).
+    """
+    c = math.cos(T_a_base[2])
+    s = math.sin(T_a_base[2])
+    n_origins = origins_base.shape[0]
+    for k in range(n_origins):
+        origins[k, 0] = T_a_base[0] + c * origins_base[k, 0] - s * origins_base[k, 1]
+        origins[k, 1] = T_a_base[1] + s * origins_base[k, 0] + c * origins_base[k, 1]
+    for k in range(points.shape[0]):
+        is_beam[k] = is_valid[k] or is_missing[k]
+        if is_missing[k]:
+            first = origins_base[k if n_origins > 1 else 0]
+            x = first[0] + reach * directions_base[k, 0]
+            y = first[1] + reach * directions_base[k, 1]
+            ends[k, 0] = T_a_base[0] + c * x - s * y
+            ends[k, 1] = T_a_base[1] + s * x + c * y
+        else:
+            ends[k] = points[k]

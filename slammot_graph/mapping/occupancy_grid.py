@@ -11,7 +11,7 @@ from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.scan import NO_RETURN_FRACTION, Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.mapping._grid_kernels import update_beams
+from slammot_graph.mapping._grid_kernels import far_beams, update_beams
 
 LEAST_CELL_M, MOST_CELL_M = 1e-3, 10.0
 
@@ -158,14 +158,23 @@ class OccupancyGrid:
             Returns, and those of them that do not move.
         """
         ends, is_beam, no_return = points, is_valid, self.config.no_return
-        if no_return is not None:
-            is_missing = scan.is_no_return(no_return.min_run, no_return.range_fraction)
-            if is_missing.any():
-                reach_m = min(no_return.reach_m, scan.laser.range_max)
-                far = scan.origins_base + reach_m * scan.directions_base
-                ends = np.where(is_missing[:, None], se2.transform(T_a_base, far), points)
-                is_beam = is_valid | is_missing
-        origins = se2.transform(T_a_base, scan.origins_base)
+        origins = np.empty_like(scan.origins_base)
+        if no_return is None:
+            se2.transform_points(T_a_base, scan.origins_base, origins)
+        else:
+            ends, is_beam = np.empty_like(points), np.empty_like(is_valid)
+            far_beams(
+                T_a_base,
+                scan.origins_base,
+                scan.directions_base,
+                min(no_return.reach_m, scan.laser.range_max),
+                scan.is_no_return(no_return.min_run, no_return.range_fraction),
+                points,
+                is_valid,
+                origins,
+                ends,
+                is_beam,
+            )
         is_hit = is_valid if self.config.occupy_with_moving else is_static
         self.update(number, origins, ends, is_beam, is_hit, is_valid & ~is_hit)
 

@@ -242,8 +242,10 @@ class AdaptiveOdometry:
             (scale_rad if below_rad == 1.0 else below_rad),
         )
         if scale_m != 1.0 or scale_rad != 1.0:
-            scales = np.array([scale_m, scale_m, scale_rad])
-            cov = cov * np.outer(scales, scales)
+            cov[:2, :2] *= scale_m * scale_m
+            cov[2, 2] *= scale_rad * scale_rad
+            cov[:2, 2] *= scale_m * scale_rad
+            cov[2, :2] *= scale_m * scale_rad
         return cov
 
     def _sweep_by_odometry(self, times_s: FloatArray) -> SweepMotion:

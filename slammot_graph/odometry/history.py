@@ -228,6 +228,8 @@ class OdometryHistory:
             return np.asarray(poses[-1])
         if n < 2:
             return np.array(poses[0])
+        if times[-2] == time_s:
+            return np.asarray(poses[-2])
         k = min(max(int(np.searchsorted(times, time_s)), 1), n - 1)
         start, end = float(times[k - 1]), float(times[k])
         if time_s == end:

@@ -144,16 +144,17 @@ class MotionState(NamedTuple):
 
     def moved(self, motion: Motion) -> "MotionState":
         """Carry the pose and its covariances along a motion."""
-        before = np.array([self.cov_prior, self.cov_independent, self.cov_odometry])
-        cov_prior, cov_independent, cov_odometry = se2.compound_covariance(
-            before, motion.increment, motion.cov
+        covs = np.empty((3, 3, 3))
+        se2.compound_three(
+            self.cov_prior, self.cov_independent, self.cov_odometry, motion.increment, motion.cov, covs
         )
-        return self._replace(
-            T_local_base=se2.compose(self.T_local_base, motion.increment),
-            cov_prior=cov_prior,
-            cov_independent=cov_independent,
-            cov_odometry=cov_odometry,
-            cov_motion=motion.cov,
+        return MotionState(
+            se2.compose(self.T_local_base, motion.increment),
+            covs[0],
+            covs[1],
+            self.cov_correlated,
+            covs[2],
+            motion.cov,
         )
 
     def loosened(self, extra: FloatArray) -> "MotionState":

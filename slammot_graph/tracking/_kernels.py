@@ -1,5 +1,7 @@
 """Kernels of the tracks' Kalman filter, all tracks at once: predict, costs of pairs, nearest tracks, correct."""
 
+import math
+
 import numpy as np
 
 from slammot_graph.core._numba import kernel
@@ -120,3 +122,25 @@ def correct(
             states[t, i] += a[i] * u / var_u + b[i] * w / var_w
             for j in range(4):
                 P[i, j] -= a[i] * a[j] / var_u + b[i] * b[j] / var_w
+
+
+@kernel
+def carry_track(
+    state: FloatArray, cov: FloatArray, T_a_b: FloatArray, motion: FloatArray, place_cov: FloatArray
+) -> None:
+    """Carry a state (4,) and its covariance (4, 4) into frame a, in which theirs lies at (3,).
+
+    Fills `motion` (4,) and `place_cov` (2, 2).
+    """
+    R = np.empty((2, 2))
+    R[0, 0] = R[1, 1] = math.cos(T_a_b[2])
+    R[1, 0] = math.sin(T_a_b[2])
+    R[0, 1] = -R[1, 0]
+    for i in range(2):
+        motion[i] = T_a_b[i] + R[i, 0] * state[0] + R[i, 1] * state[1]
+        motion[i + 2] = R[i, 0] * state[2] + R[i, 1] * state[3]
+        for j in range(2):
+            place_cov[i, j] = 0.0
+            for m in range(2):
+                for n in range(2):
+                    place_cov[i, j] += R[i, m] * cov[m, n] * R[j, n]

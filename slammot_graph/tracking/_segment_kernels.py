@@ -106,10 +106,10 @@ def assign(
     primary: IntArray,
     owner: IntArray,
 ) -> None:
-    """Give each track its nearest segment, the mature ones first, then what belongs to the same body.
+    """Give each track its nearest segment and what belongs to the same body, level by level (0, 1, 2).
 
     Nearest is the least ``d2 + ln det S``: a track that does not know where its object is must not take what one that
-    knows follows. Level 0 chooses before level 1. Fills `primary` (n,) with a segment or -1 and `owner` (k,) with a
+    knows follows. Fills `primary` (n,) with a segment or -1 and `owner` (k,) with a
     track or -1: a segment within `body` [m] of a track's first one and in its gate is joined to it.
     """
     n = states.shape[0]
@@ -129,7 +129,7 @@ def assign(
             if distance2 <= gate:
                 d2[t, s] = distance2
                 cost[t, s] = distance2 + log_det
-    for now in range(2):
+    for now in range(3):
         while True:
             least = OUTSIDE
             best_t = best_s = -1
@@ -145,9 +145,7 @@ def assign(
                 break
             primary[best_t] = best_s
             owner[best_s] = best_t
-        if now == 0:
-            _join_bodies(table, d2, level, 0, body, primary, owner)
-    _join_bodies(table, d2, level, 1, body, primary, owner)
+        _join_bodies(table, d2, level, now, body, primary, owner)
 
 
 @kernel

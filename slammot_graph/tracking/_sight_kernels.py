@@ -36,7 +36,7 @@ def find_standing(
         for k in range(n):
             is_moving = is_moving or (
                 cluster[k] >= 0
-                and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= 1.5 * reach
+                and math.hypot(points[k, 0] - places[p, 0], points[k, 1] - places[p, 1]) <= reach
             )
         if is_moving:
             continue
@@ -86,13 +86,14 @@ def sight_at(
     angle_increment: float,
     ranges: FloatArray,
     is_valid: BoolArray,
-    is_no_return: BoolArray,
+    no_return: float,
     radius: float,
     sight: IntArray,
 ) -> None:
     """Fill `sight` (n,) with what a laser at the pose `T_laser` sees at the places of tracks (n, 4).
 
-    A place is EMPTY if all beams towards it pass it by `radius` [m] or never return, and OCCLUDED if more than half end
+    A place is EMPTY if all beams towards it pass it by `radius` [m] or never return (a range from
+    `no_return` [m] on), and OCCLUDED if more than half end
     before it.
     """
     n_beams = ranges.shape[0]
@@ -113,7 +114,7 @@ def sight_at(
         is_cut = low < 0 or high >= n_beams
         for m in range(max(low, 0), min(high, n_beams - 1) + 1):
             if not is_valid[m]:
-                if is_no_return[m]:
+                if ranges[m] >= no_return:
                     n_asked += 1
                     n_past += 1
                 continue

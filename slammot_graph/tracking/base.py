@@ -11,6 +11,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import TrackState
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking import _kernels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,8 +61,11 @@ class ScanView:
     angle_min, angle_increment : float [rad]
         Of the beams, laser frame: the field of view.
     ranges : (n,) array [m]
-    is_valid, is_no_return : (n,) bool arrays
-        Beams that hit something, and that hit nothing within the laser's reach; of the others nothing is known.
+    is_valid : (n,) bool array
+        Beams that hit something.
+    no_return_m : float
+        Of the others, those with a range from this on hit nothing within the laser's reach; of the rest nothing is
+        known.
     is_one_of_several : bool
         Other lasers of the robot look elsewhere.
     """
@@ -75,7 +79,7 @@ class ScanView:
     angle_increment: float
     ranges: FloatArray
     is_valid: BoolArray
-    is_no_return: BoolArray
+    no_return_m: float
     is_one_of_several: bool = False
 
     @classmethod
@@ -106,7 +110,7 @@ class ScanView:
             angle_increment=angle_increment,
             ranges=ranges,
             is_valid=is_valid,
-            is_no_return=scan.is_no_return(range_fraction=range_fraction),
+            no_return_m=range_fraction * scan.laser.range_max,
         )
 
     def by_one_of_several(self) -> "ScanView":
@@ -141,6 +145,7 @@ def _seen_at_once(scan: Scan) -> tuple[FloatArray, float, FloatArray]:
     if step * laser.angle_increment <= 0.0:  # a robot that turns faster than its laser
         step = laser.angle_increment
     ranges = np.hypot(*(scan.points_base() - origin).T)
+    ranges = np.where(np.isfinite(ranges), ranges, scan.ranges)
     return np.array([*origin, bearings[0] - laser.angle_min]), step, ranges
 
 
@@ -155,20 +160,31 @@ class Sightings:
     covs : (m, 2, 2) array [m^2]
     sizes_m : (m,) array
         Extent of what was seen.
+    thickness_m : (m,) array
+        How far its points lie off their line, root mean square; NaN with too few points.
     """
 
     ids: IntArray
     places: FloatArray
     covs: FloatArray
     sizes_m: FloatArray
+    thickness_m: FloatArray
 
 
 class Tracker(Protocol):
     """Follows the clusters of moving points from scan to scan."""
 
     @property
+    def needs_clusters(self) -> bool:
+        """Whether the clusters are looked at where there is a view of the scan."""
+
+    @property
     def sightings(self) -> Sightings | None:
         """What was seen at the latest scan; None of a tracker whose tracks are not smoothed after the run."""
+
+    @property
+    def n_tracks(self) -> int:
+        """Number of tracks now, confirmed or not."""
 
     @property
     def tracks(self) -> list[Track]:
@@ -177,8 +193,17 @@ class Tracker(Protocol):
     def predicted_positions(self, stamp_s: float) -> FloatArray:
         """(k, 2) places [m] where objects that have displaced should be at a stamp [s], tracker's frame."""
 
+    def shown(self) -> list[Track]:
+        """Confirmed tracks, those that are to be shown."""
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """Give them in a frame a in which the tracker's lies at (3,)."""
+
     def displaced(self) -> list[Track]:
         """Confirmed tracks of objects that have displaced."""
+
+    def on_objects(self, n_beams: int) -> BoolArray:
+        """(2, n_beams) beams of the latest scan on such objects; on these or others that are no false alarm."""
 
     def update(
         self,
@@ -188,7 +213,7 @@ class Tracker(Protocol):
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """Take in the clusters of a scan.
 
         Parameters
@@ -204,31 +229,25 @@ class Tracker(Protocol):
             Clusters with a beam on free cells; by default all.
         view : ScanView, optional
             The scan itself; where there is none, no track is known to be occluded.
-
-        Returns
-        -------
-        Confirmed tracks, those that are to be shown.
         """
 
 
-def track_states(tracks: Sequence[Track], T_map_local: FloatArray) -> tuple[TrackState, ...]:
-    """Carry tracks from the local frame, which lies at (3,) in the map, into the map frame."""
-    if not tracks:
-        return ()
-    R = se2.rotation(T_map_local[2])
-    turned = np.array([track.state for track in tracks]).reshape(-1, 2, 2) @ R.T  # rows: place, velocity
-    places = turned[:, 0] + T_map_local[:2]
-    covs = R @ np.array([track.cov for track in tracks])[:, :2, :2] @ R.T
-    return tuple(
-        TrackState(
-            track_id=track.track_id,
-            position=place,
-            velocity=velocity,
-            position_cov=cov,
-            beams=track.beams,
+def track_states(tracks: Sequence[Track], T_a_local: FloatArray) -> tuple[TrackState, ...]:
+    """Carry tracks from the local frame, which lies at (3,) in frame a, into that."""
+    carried = []
+    for track in tracks:
+        motion, cov = np.empty(4), np.empty((2, 2))
+        _kernels.carry_track(track.state, track.cov, T_a_local, motion, cov)
+        carried.append(
+            TrackState(
+                track_id=track.track_id,
+                position=motion[:2],
+                velocity=motion[2:],
+                position_cov=cov,
+                beams=track.beams,
+            )
         )
-        for track, place, velocity, cov in zip(tracks, places, turned[:, 1], covs, strict=True)
-    )
+    return tuple(carried)
 
 
 EDGE_BEAMS = 2

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking.base import ScanView, Track
+from slammot_graph.tracking.base import ScanView, Track, track_states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,6 +17,13 @@ class NoTrackingConfig:
 
 class NoTracking:
     """A `Tracker` that follows nothing."""
+
+    needs_clusters = False
+
+    @property
+    def n_tracks(self) -> int:
+        """See `Tracker`; there are none."""
+        return 0
 
     @property
     def tracks(self) -> list[Track]:
@@ -30,9 +38,21 @@ class NoTracking:
         """See `Tracker`."""
         return np.empty((0, 2))
 
+    def shown(self) -> list[Track]:
+        """See `Tracker`."""
+        return []
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """See `Tracker`."""
+        return track_states(self.shown(), T_a_local)
+
     def displaced(self) -> list[Track]:
         """See `Tracker`."""
         return []
+
+    def on_objects(self, n_beams: int) -> BoolArray:
+        """See `Tracker`."""
+        return np.zeros((2, n_beams), dtype=np.bool_)
 
     def update(
         self,
@@ -42,6 +62,5 @@ class NoTracking:
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """See `Tracker`."""
-        return []

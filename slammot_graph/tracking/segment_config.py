@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
+from slammot_graph.core.types import FloatArray
 from slammot_graph.tracking.smoothing import SmoothingConfig
 
 
@@ -25,8 +28,11 @@ class SegmentTrackerConfig(Checked):
         Nor is a segment farther than this from where a track was predicted.
     segment_gap_m : float
         Neighbouring beams farther apart belong to different segments.
-    standing_reach_m, standing_gap_m, standing_speed_m_s : float
-        Points this near to a slow object that has displaced are its own, if nothing else is within the gap beside them.
+    standing_reach_m, standing_gap_m, standing_speed_m_s, standing_distance_m : float
+        Points this near to a slow object that has gone some distance are its own, if nothing else is within the gap
+        beside them.
+    min_on_free : int
+        The same of one that stood on free cells at so many sightings: it was not there before.
     leg_width_m : float
         A wider segment is more than a leg.
     body_m : float
@@ -64,6 +70,8 @@ class SegmentTrackerConfig(Checked):
     standing_reach_m: Positive = 0.35
     standing_gap_m: Positive = 0.15
     standing_speed_m_s: Positive = 0.5
+    standing_distance_m: Positive = 0.5
+    min_on_free: Count = 15
     leg_width_m: Positive = 0.25
     body_m: Positive = 0.5
     apart_m: NotNegative = 0.7
@@ -77,3 +85,35 @@ class SegmentTrackerConfig(Checked):
     max_missed_s: Positive = 3.0
     min_distance_m: Positive = 1.0
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
+
+    def limits(self) -> FloatArray:
+        """(24,) what the kernels take, in the order that they name."""
+        return np.array(
+            [
+                self.acceleration_std_m_s2,
+                self.leg_std_m**2,
+                self.body_std_m**2,
+                self.start_speed_std_m_s**2,
+                self.gate,
+                self.max_jump_m,
+                self.segment_gap_m,
+                self.standing_reach_m,
+                self.standing_gap_m,
+                self.standing_speed_m_s,
+                self.leg_width_m,
+                self.body_m,
+                self.apart_m,
+                self.twin_m,
+                self.max_twin_s,
+                self.n_confirm,
+                self.shown_s,
+                self.max_empty_s,
+                self.max_unproven_s,
+                self.min_unproven_points,
+                self.max_missed_s,
+                self.min_distance_m,
+                self.standing_distance_m,
+                self.min_on_free,
+            ],
+            dtype=np.float64,
+        )

@@ -23,6 +23,10 @@ from slammot_graph.tracking.base import Sightings
 PERSON_SIZE_M = 0.9
 """What is larger than this most of the time is no person."""
 
+EDGE_M, MAX_BEND = 0.25, 0.04
+"""What is at least this long and whose points lie off a line by no more than this share of its length is an edge: a
+side of a vehicle or a cart. Legs and trunks are round."""
+
 MIN_SIGHTINGS_OF_KIND = 10
 """With fewer sightings the kind is unknown."""
 
@@ -46,6 +50,8 @@ class SmoothingConfig(Checked):
         A chain that is nearer than this to a longer one most of the time follows the same object.
     gate : float
         Largest squared Mahalanobis distance of a link (13.28: 99% for four dimensions).
+    max_gap_std_m : float
+        Between two sightings a place that is known less well than this is left out.
     """
 
     acceleration_std_m_s2: Positive = 1.5
@@ -55,10 +61,11 @@ class SmoothingConfig(Checked):
     max_absence_s: Positive = 3.0
     twin_m: Positive = 0.5
     gate: Positive = 13.28
+    max_gap_std_m: Positive = 0.2
 
 
 class SightingHistory:
-    """All sightings of a run, relative to the robot: 8 numbers each."""
+    """All sightings of a run, relative to the robot: 9 numbers each."""
 
     def __init__(self) -> None:
         self._rows = array("d")
@@ -68,16 +75,17 @@ class SightingHistory:
         if not len(sightings.ids):
             return
         T_base_local = se2.inverse(T_local_base)
-        rows = np.empty((len(sightings.ids), 8))
+        rows = np.empty((len(sightings.ids), 9))
         R = se2.rotation(T_base_local[2])
         rows[:, 0], rows[:, 1], rows[:, 7] = scan, sightings.ids, sightings.sizes_m
+        rows[:, 8] = sightings.thickness_m
         rows[:, 2:4] = sightings.places @ R.T + T_base_local[:2]
         rows[:, 4:7] = (R @ sightings.covs @ R.T).reshape(-1, 4)[:, [0, 1, 3]]
         self._rows.frombytes(rows.tobytes())
 
     def table(self) -> FloatArray:
-        """(m, 8) scan number, track, x, y [m], xx, xy, yy [m^2] in the base frame, size [m]."""
-        return np.array(self._rows, dtype=np.float64).reshape(-1, 8)
+        """(m, 9) scan number, track, x, y [m], xx, xy, yy [m^2] in the base frame, size and thickness [m]."""
+        return np.array(self._rows, dtype=np.float64).reshape(-1, 9)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,6 +120,7 @@ class _Chain:
     places: FloatArray
     covs: FloatArray
     sizes: FloatArray
+    thickness: FloatArray
 
     def smoothed(
         self, scans: IntArray, stamps: FloatArray, config: SmoothingConfig
@@ -147,7 +156,7 @@ def smooth_tracks(
 
     Parameters
     ----------
-    sightings : (m, 8) array
+    sightings : (m, 9) array
         As of `SightingHistory.table`.
     stamps : (n,) array [s]
         Of the scans.
@@ -164,11 +173,14 @@ def smooth_tracks(
     for number, chain in enumerate(kept):
         every = np.arange(chain.scans[0], chain.scans[-1] + 1)
         state, cov = chain.smoothed(every, stamps, config)
-        scans.append(every)
-        ids.append(np.full(len(every), number))
-        states.append(state)
-        covs.append(cov[:, :2, :2])
-        is_seen.append(np.isin(every, chain.scans))
+        seen = np.isin(every, chain.scans)
+        variance = np.linalg.eigvalsh(cov[:, :2, :2])[:, 1]
+        is_known = seen | (variance <= config.max_gap_std_m**2)
+        scans.append(every[is_known])
+        ids.append(np.full(len(scans[-1]), number))
+        states.append(state[is_known])
+        covs.append(cov[is_known, :2, :2])
+        is_seen.append(seen[is_known])
     return SmoothedTracks(
         scans=np.concatenate([np.empty(0, dtype=np.int64), *scans]),
         ids=np.concatenate([np.empty(0, dtype=np.int64), *ids]),
@@ -205,7 +217,9 @@ def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[_Chain]:
     order = np.argsort(rows[:, 1], kind="stable")
     starts = np.flatnonzero(np.diff(rows[order, 1], prepend=-1.0))
     return [
-        _Chain(scans=scans[own], places=places[own], covs=covs[own], sizes=rows[own, 7])
+        _Chain(
+            scans=scans[own], places=places[own], covs=covs[own], sizes=rows[own, 7], thickness=rows[own, 8]
+        )
         for own in np.split(order, starts[1:])
         if len(own)
     ]
@@ -259,10 +273,14 @@ def _link_cost(
 
 
 def _object(number: int, chain: _Chain) -> TrackedObject:
-    """Say what it is by its size at most of its sightings; the probability is that of the share that fits."""
-    n = len(chain.sizes)
-    n_fit = int(np.count_nonzero(chain.sizes <= PERSON_SIZE_M))
-    p_person = (n_fit + 1.0) / (n + 2.0)
+    """Say what it is by size and shape at most of the sightings that show one; the probability is their share."""
+    is_large = chain.sizes > PERSON_SIZE_M
+    is_edge = (chain.sizes >= EDGE_M) & (chain.thickness <= MAX_BEND * chain.sizes)
+    has_shape = is_large | (np.isfinite(chain.thickness) & (chain.sizes >= EDGE_M))
+    n, n_vehicle = int(np.count_nonzero(has_shape)), int(np.count_nonzero(is_large | is_edge))
+    if n < MIN_SIGHTINGS_OF_KIND:  # too few points for a shape
+        n, n_vehicle = len(chain.sizes), int(np.count_nonzero(is_large))
+    p_person = (n - n_vehicle + 1.0) / (n + 2.0)
     kind: ObjectKind = "person" if p_person >= 0.5 else "vehicle"
     if n < MIN_SIGHTINGS_OF_KIND:
         kind = "unknown"

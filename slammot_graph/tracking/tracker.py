@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite
+from slammot_graph.core.results import TrackState
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
 from slammot_graph.tracking import _sight_kernels as _sight
-from slammot_graph.tracking.base import ScanView, Track, edge_covariances
+from slammot_graph.tracking.base import ScanView, Track, edge_covariances, track_states
 from slammot_graph.tracking.clock import TrackerClock
 
 _BODY_M = 0.3
@@ -53,12 +54,19 @@ class KalmanTrackerConfig(Checked):
 class KalmanTracker:
     """A `Tracker`: follows the clusters of moving points from scan to scan."""
 
+    needs_clusters = True
+
     def __init__(self, config: KalmanTrackerConfig) -> None:
         self.config = config
         self.tracks: list[Track] = []
         self._clock = TrackerClock(config.max_missed_s)
         self._next_id = 0
         self._centre_cov = config.centre_std_m**2 * np.eye(2)
+
+    @property
+    def n_tracks(self) -> int:
+        """See `Tracker`."""
+        return len(self.tracks)
 
     @property
     def sightings(self) -> None:
@@ -70,6 +78,14 @@ class KalmanTracker:
         states = np.array([track.state for track in self.displaced()]).reshape(-1, 4)
         return states[:, :2] + dt * states[:, 2:]
 
+    def shown(self) -> list[Track]:
+        """Confirmed tracks."""
+        return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
+
+    def shown_in(self, T_a_local: FloatArray) -> tuple[TrackState, ...]:
+        """See `Tracker`."""
+        return track_states(self.shown(), T_a_local)
+
     def displaced(self) -> list[Track]:
         """Confirmed tracks of objects that have displaced."""
         return [
@@ -79,6 +95,13 @@ class KalmanTracker:
             and math.dist(track.state[:2].tolist(), track.start.tolist()) >= self.config.min_distance_m
         ]
 
+    def on_objects(self, n_beams: int) -> BoolArray:
+        """See `Tracker`; both are the same."""
+        is_on = np.zeros((2, n_beams), dtype=np.bool_)
+        for track in self.displaced():
+            is_on[:, track.beams] = True
+        return is_on
+
     def update(
         self,
         stamp_s: float,
@@ -87,7 +110,7 @@ class KalmanTracker:
         beams: Sequence[IntArray],
         is_proven: BoolArray | None = None,
         view: ScanView | None = None,
-    ) -> list[Track]:
+    ) -> None:
         """Predict to `stamp_s`, join clusters to tracks, begin and end tracks.
 
         Parameters
@@ -105,14 +128,10 @@ class KalmanTracker:
             not keep one alive. By default all are proven.
         view : ScanView, optional
             Of the scan of one among several lasers: an object where it did not look is not missed.
-
-        Returns
-        -------
-        Confirmed tracks.
         """
         dt = self._clock.advance(stamp_s)
         if not self.tracks and not len(centres):
-            return []
+            return
         proven = [True] * len(centres) if is_proven is None else is_proven.tolist()
         noise = centre_covs + self._centre_cov
         if view is not None and view.is_one_of_several and len(beams):
@@ -138,7 +157,6 @@ class KalmanTracker:
             if proven[c] and c not in joined
         ]
         self.tracks = kept + begun
-        return [track for track in self.tracks if track.n_hits >= self.config.n_confirm]
 
     def _less_missed(self, followed: list[Track], dt: float, view: ScanView) -> list[Track]:
         """Take back what tracks have missed, `dt` [s], where the scan did not look; that counts later in part."""
@@ -150,7 +168,7 @@ class KalmanTracker:
             view.angle_increment,
             view.ranges,
             view.is_valid,
-            view.is_no_return,
+            view.no_return_m,
             _BODY_M,
             sight,
         )

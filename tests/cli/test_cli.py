@@ -231,6 +231,7 @@ def test_a_run_is_only_replaced_on_demand(
         (["evaluate", "out", "--relations", "bad.toml"], ["bad.toml, line 1"]),
         (["evaluate", "out", "--relations", "some.relations", "--max-duration", "0"], ["--max-duration"]),
         (["evaluate", "out"], ["--relations FILE or --truth FILE.tum"]),
+        (["evaluate", "out", "--mot", "mot"], ["--mot", "--truth LOG.npz"]),
         (["evaluate", "out", "--truth", "none.tum"], ["none.tum", "cannot be read"]),
         (["evaluate", "out", "--truth", "bad.toml"], ["bad.toml, line 1"]),
         (["evaluate", "out", "--truth", "none.npz"], ["none.npz", "no such file"]),
@@ -366,8 +367,12 @@ def test_points_and_tracks_of_a_simulated_log_are_evaluated(
 ) -> None:
     walkers = write_walkers(tmp_path / "walkers.npz", 80)
     run(capsys, "run", walkers, "--output", tmp_path / "out", "--rerun", "off")
-    code, out, err = run(capsys, "evaluate", tmp_path / "out", "--truth", walkers)
+    mot = tmp_path / "mot"
+    code, out, err = run(capsys, "evaluate", tmp_path / "out", "--truth", walkers, "--mot", mot)
     assert (code, err) == (0, "")
+    assert sorted(str(path.relative_to(mot)) for path in mot.rglob("*.txt")) == [
+        f"{labels}/{name}.txt" for labels in ("final", "online") for name in ("gt", "tracks")
+    ]
     assert [line for line in out.splitlines() if "Moving points of" in line or "Tracks of" in line]
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if "final" in line]
     points, tracks = rows

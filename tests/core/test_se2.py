@@ -168,6 +168,14 @@ def test_compound_covariances_of_one_increment_equal_the_matrix_products(
         np.testing.assert_allclose(compound[index], A @ covs[index] @ A.T + step_cov, rtol=1e-9, atol=1e-9)
 
 
+def test_three_covariances_compounded_at_once(rng: np.random.Generator) -> None:
+    roots, step = rng.normal(size=(3, 3, 3)), np.array([0.3, -0.2, 1.1])
+    covs, step_cov = roots @ roots.transpose(0, 2, 1), np.diag([0.01, 0.02, 0.03])
+    out = np.empty((3, 3, 3))
+    se2.compound_three(covs[0], covs[1], covs[2], step, step_cov, out)
+    np.testing.assert_allclose(out, se2.compound_covariance(covs, step, step_cov), rtol=1e-12)
+
+
 def test_compound_covariance_holds_by_monte_carlo(rng: np.random.Generator) -> None:
     T, step = np.array([1.0, 2.0, 0.5]), np.array([2.0, -1.0, 1.2])
     cov_a, cov_b = covariance(rng, 0.01), covariance(rng, 0.01)

@@ -292,3 +292,14 @@ def test_moments_and_beams_of_clusters_are_those_of_each_alone(seed: int, n_clus
         xx, xy, yy = packed[mine].mean(axis=0)
         np.testing.assert_allclose(covs[c], [[xx, xy], [xy, yy]], rtol=1e-12, atol=1e-12)
         assert is_proven[c] == (reason[mine] == FREE).any()
+
+
+@given(seeds)
+def test_logistic_of_clusters(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    evidence, weights = rng.normal(size=(4, 8)), rng.normal(size=8)
+    cluster, before = rng.integers(-1, 4, 30), rng.random(30)
+    out = before.copy()
+    _cluster_kernels.logistic_of_clusters(evidence, weights, cluster, out)
+    p = 1.0 / (1.0 + np.exp(-evidence @ weights))
+    np.testing.assert_allclose(out, np.where(cluster >= 0, p[cluster], before))

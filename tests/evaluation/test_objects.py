@@ -1,10 +1,18 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
-from slammot_graph.evaluation import EstimatedTracks, TrueObjects, evaluate_objects, read_objects
+from slammot_graph.evaluation import (
+    EstimatedTracks,
+    TrueObjects,
+    evaluate_objects,
+    read_objects,
+    write_mot_challenge,
+)
 
 N = 100
 STAMPS = np.arange(0.0, 0.1 * N - 0.05, 0.1)
@@ -110,3 +118,25 @@ def test_the_states_come_from_the_scans_of_a_log() -> None:
     assert found.objects.shape == (5, 2, 4)
     assert found.n_beams.tolist() == [[2, 1]] * 5
     assert read_objects((scan(k, None) for k in range(9)), np.full((5, 4), True)) is None
+
+
+def test_the_motchallenge_files_hold_truth_and_tracks(tmp_path: Path) -> None:
+    n_beams = np.full((N, 2), 3)
+    n_beams[30:65, 0] = 2
+    drift = np.array([3.0, -1.0, 0.7])
+    write_mot_challenge(tmp_path / "mot", truth(n_beams), perfect(drift, 0.1))
+    true, found = (np.loadtxt(tmp_path / "mot" / name, delimiter=",") for name in ("gt.txt", "tracks.txt"))
+    assert true.shape == found.shape == (N + N - 20, 10)
+    np.testing.assert_array_equal(true[:, 0], found[:, 0])
+    assert np.unique(true[:, 1]).tolist() == [1, 2, 3]  # the first one comes back as another
+    assert np.count_nonzero(true[:, 6] == 0) == 35
+    np.testing.assert_allclose(np.sort(found[:, 7] - true[:, 7])[[0, -1]], 0.1, atol=2e-4)
+    np.testing.assert_allclose(true[:, 2:4] + 0.5, true[:, 7:9], atol=2e-4)
+    first = true[(true[:, 0] == 1) & (true[:, 1] == 1)][0, 7:9]
+    np.testing.assert_allclose(first, se2.transform(drift, np.array([[0.0, 2.0]]))[0], atol=1e-4)
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "mot").write_text("")
+    with pytest.raises(InputError, match="mot: cannot be written"):
+        write_mot_challenge(tmp_path / "mot", truth(np.full((N, 2), 9)), perfect(np.zeros(3)))

@@ -15,6 +15,9 @@ def test_the_factory_builds_what_the_configuration_names() -> None:
 
 def test_no_tracking_follows_nothing() -> None:
     tracker = NoTracking()
-    assert tracker.update(0.0, np.ones((1, 2)), np.ones((1, 2, 2)), [np.arange(3)]) == []
+    tracker.update(0.0, np.ones((1, 2)), np.ones((1, 2, 2)), [np.arange(3)])
+    assert tracker.shown() == []
+    assert tracker.shown_in(np.zeros(3)) == ()
+    assert not tracker.on_objects(3).any()
     assert tracker.tracks == tracker.displaced() == []
     assert tracker.predicted_positions(1.0).shape == (0, 2)

@@ -71,7 +71,7 @@ def sight_of(scan: Scan, place_base: FloatArray) -> int:
         view.angle_increment,
         view.ranges,
         view.is_valid,
-        view.is_no_return,
+        view.no_return_m,
         0.1,
         out,
     )
@@ -134,7 +134,7 @@ def test_who_is_cut_by_the_edge_of_a_view_is_less_certain_across_the_line_of_sig
         angle_increment=increment,
         ranges=ranges,
         is_valid=np.full(n, True),
-        is_no_return=np.full(n, False),
+        no_return_m=30.0,
     )
     partial = view.by_one_of_several()
     assert partial.is_one_of_several
@@ -161,6 +161,6 @@ def test_a_view_all_around_has_no_edge() -> None:
         angle_increment=2.0 * math.pi / n,
         ranges=np.ones(n),
         is_valid=np.full(n, True),
-        is_no_return=np.full(n, False),
+        no_return_m=30.0,
     )
     np.testing.assert_array_equal(view.by_one_of_several().packed_cov, view.packed_cov)

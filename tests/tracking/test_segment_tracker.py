@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from slammot_graph.tracking import _segment_kernels, _sight_kernels
+from slammot_graph.tracking import _sight_kernels
 from slammot_graph.tracking.base import ScanView, Track
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.segment_tracker import SegmentTracker
@@ -42,7 +42,7 @@ def view_of(circles: list[tuple[float, float, float]], is_moving: list[bool] | N
         angle_increment=INCREMENT,
         ranges=ranges,
         is_valid=np.full(len(ANGLES), True),
-        is_no_return=np.full(len(ANGLES), False),
+        no_return_m=math.inf,
     )
 
 
@@ -57,7 +57,8 @@ class Watched:
         self, circles: list[tuple[float, float, float]], is_moving: list[bool] | None = None
     ) -> list[Track]:
         self.now_s += 0.1
-        return self.tracker.update(self.now_s, *NO_CENTRES, None, view_of(circles, is_moving))
+        self.tracker.update(self.now_s, *NO_CENTRES, None, view_of(circles, is_moving))
+        return self.tracker.shown()
 
     def walk(self, n: int, x: float = 3.0, y0: float = -1.5, speed: float = 1.0) -> list[list[Track]]:
         return [self.see(legs(x, y0 + 0.1 * speed * k, 0.5 * k)) for k in range(n)]
@@ -127,6 +128,32 @@ def test_who_stands_still_and_does_not_move_any_more_is_kept() -> None:
     assert math.hypot(*stands.state[2:]) < 0.1
 
 
+def test_who_came_while_nobody_looked_and_stands_is_kept() -> None:
+    watched = Watched()
+    for _ in range(20):  # on cells that were free before, but never seen to move
+        watched.see(legs(3.0, 0.4, 0.0))
+    for _ in range(30):
+        (stands,) = watched.see(legs(3.0, 0.4, 0.0), [False, False])
+    assert stands.track_id == 0
+    unproven = Watched()
+    for _ in range(5):
+        unproven.see(legs(3.0, 0.4, 0.0))
+    for _ in range(30):
+        last = unproven.see(legs(3.0, 0.4, 0.0), [False, False])
+    assert last == []
+
+
+def test_who_comes_back_does_not_take_the_leg_of_another() -> None:
+    watched = Watched()
+    for k in range(20):
+        watched.see(legs(3.0, -1.5 + 0.1 * k, 0.5 * k) + legs(3.0, 2.5 - 0.1 * k, 0.5 * k))
+    pillar = (1.5, 0.24, 0.1)  # hides the second one for good
+    for k in range(20):
+        shown = watched.see([*legs(3.0, 0.4 - 0.01 * k, 0.5 * k), pillar], [True, True, False])
+    assert len(shown) == 1
+    assert len(watched.tracker.sightings.ids) == 1
+
+
 def test_a_wall_is_nobody_who_stands() -> None:
     watched = Watched()
     watched.walk(20)
@@ -162,10 +189,10 @@ def test_beams_that_no_free_cell_proves_begin_no_track_and_keep_none_alive() -> 
 def test_without_a_view_clusters_are_segments() -> None:
     tracker = SegmentTracker(SegmentTrackerConfig())
     for k in range(10):
-        shown = tracker.update(
+        tracker.update(
             0.1 * k, np.array([[0.1 * k, 0.0]]), 1e-4 * np.eye(2)[None], [np.arange(5)], np.array([True])
         )
-    (track,) = shown
+    (track,) = tracker.shown()
     np.testing.assert_allclose(track.state, [0.9, 0.0, 1.0, 0.0], atol=0.25)
     assert track.beams.tolist() == [0, 1, 2, 3, 4]
     assert tracker.displaced() == []
@@ -203,7 +230,7 @@ def test_what_the_laser_sees_at_a_place(circles: list[tuple[float, float, float]
             view.angle_increment,
             ranges,
             is_valid,
-            ~is_valid,
+            15.0,
             0.25,
             sight,
         )
@@ -212,41 +239,3 @@ def test_what_the_laser_sees_at_a_place(circles: list[tuple[float, float, float]
             expected if is_valid.all() else _sight_kernels.EMPTY,
             _sight_kernels.OUT_OF_VIEW,
         ]
-
-
-def test_segments_are_runs_of_near_neighbours() -> None:
-    rng = np.random.default_rng(1)
-    n = 80
-    cluster = np.where(rng.random(n) < 0.7, 0, -1)
-    points = np.column_stack([np.linspace(2.0, 3.0, n), np.cumsum(rng.choice([0.01, 0.3], n, p=[0.8, 0.2]))])
-    covs, proven = rng.random((n, 3)), rng.random(n) < 0.5
-    segment, table = np.empty(n, dtype=np.int64), np.empty((n, 8))
-    n_segments = _segment_kernels.find_segments(
-        points, covs, cluster, proven, 0.0, 0.0, 1e-6, 0.1, 0.0, 0.25, segment, table
-    )
-    expected, number = np.full(n, -1), -1
-    for k in np.flatnonzero(cluster >= 0):
-        is_next = k > 0 and cluster[k - 1] >= 0 and math.dist(points[k], points[k - 1]) <= 0.1
-        number += not is_next
-        expected[k] = number
-    assert segment.tolist() == expected.tolist()
-    assert n_segments == number + 1
-    for s in range(n_segments):
-        own = expected == s
-        assert table[s, 0] == own.sum()
-        np.testing.assert_allclose(table[s, 1:3], points[own].mean(axis=0))
-        np.testing.assert_allclose(table[s, 4:7], covs[own].mean(axis=0))
-        assert table[s, 7] == proven[own].sum()
-
-
-def test_mature_tracks_choose_first_and_a_wide_covariance_is_not_near() -> None:
-    table = np.array(
-        [[3, 0.1, 0.0, 0.1, 1e-4, 0, 1e-4, 3], [3, 2.0, 0.0, 0.1, 1e-4, 0, 1e-4, 3]], dtype=float
-    )
-    states = np.array([[0.0, 0.0, 0, 0], [0.1, 0.0, 0, 0]])
-    covs = np.array([0.01 * np.eye(4), np.eye(4)])
-    for level, takes in ((np.array([0, 0]), 0), (np.array([1, 0]), 1)):
-        primary, owner = np.empty(2, dtype=np.int64), np.empty(2, dtype=np.int64)
-        _segment_kernels.assign(states, covs, level, table, 0.0225, 9.21, 1.5, 0.5, primary, owner)
-        assert owner.tolist() == [takes, -1]
-        assert primary[takes] == 0

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 
@@ -50,7 +52,13 @@ def test_the_smoother_is_the_least_squares_solution() -> None:
 
 
 def walk(
-    rng: np.random.Generator, hidden: range, poses: np.ndarray, stamps: np.ndarray, *, turn_back: bool = False
+    rng: np.random.Generator,
+    hidden: range,
+    poses: np.ndarray,
+    stamps: np.ndarray,
+    *,
+    turn_back: bool = False,
+    thickness_m: float = 0.03,
 ) -> tuple[SightingHistory, np.ndarray]:
     """Someone walks past; while hidden he is not seen, and afterwards he has another number."""
     truth = np.column_stack([0.1 * np.arange(len(stamps)), np.full(len(stamps), 2.0)])
@@ -65,6 +73,7 @@ def walk(
             places=(truth[k] + 0.05 * rng.standard_normal(2))[None],
             covs=0.0025 * np.eye(2)[None],
             sizes_m=np.array([0.4]),
+            thickness_m=np.array([thickness_m]),
         )
         history.add(k, one, poses[k])
     return history, truth
@@ -109,14 +118,35 @@ def test_the_other_leg_as_a_track_of_its_own_is_left_out() -> None:
             places=truth[k][None] + [0.0, 0.2],
             covs=0.0025 * np.eye(2)[None],
             sizes_m=np.array([0.1]),
+            thickness_m=np.array([math.nan]),
         )
         history.add(k, leg, POSES[k])
     found = smooth_tracks(history.table(), STAMPS, POSES, CONFIG)
     assert len(found.objects) == 1
 
 
+@pytest.mark.parametrize(
+    ("thickness_m", "kind"), [(0.005, "vehicle"), (0.03, "person"), (math.nan, "person")]
+)
+def test_what_has_a_straight_edge_is_a_vehicle(thickness_m: float, kind: str) -> None:
+    history, _ = walk(np.random.default_rng(0), range(0), POSES, STAMPS, thickness_m=thickness_m)
+    (one,) = smooth_tracks(history.table(), STAMPS, POSES, CONFIG).objects
+    assert one.kind == kind
+    assert one.probability > 0.9
+
+
+def test_a_place_that_is_hardly_known_is_left_out() -> None:
+    history, _ = walk(np.random.default_rng(0), range(15, 44), POSES, STAMPS)
+    found = smooth_tracks(history.table(), STAMPS, POSES, SmoothingConfig(max_gap_std_m=0.15))
+    assert found.ids.tolist() == [0] * len(found.ids)
+    absent = sorted(set(range(60)) - set(found.scans.tolist()))
+    assert absent == list(range(absent[0], absent[-1] + 1))
+    assert 15 < absent[0] < absent[-1] < 43
+    assert found.scans[found.is_seen].tolist() == [*range(15), *range(44, 60)]
+
+
 def test_few_sightings_are_no_track_and_a_large_thing_is_no_person() -> None:
-    rows = np.array([[k, 3, 0.1 * k, 0, 0.01, 0, 0.01, 1.6] for k in range(30)], dtype=float)
+    rows = np.array([[k, 3, 0.1 * k, 0, 0.01, 0, 0.01, 1.6, math.nan] for k in range(30)], dtype=float)
     poses = np.zeros((60, 3))
     assert smooth_tracks(rows[:4], STAMPS, poses, CONFIG).objects == ()
     (some,) = smooth_tracks(rows[:6], STAMPS, poses, CONFIG).objects

@@ -12,7 +12,8 @@ from slammot_graph.tracking.tracker import KalmanTracker, KalmanTrackerConfig
 def update(tracker: KalmanTracker, stamp_s: float, *centres: FloatArray) -> list[Track]:
     k = len(centres)
     beams = [np.arange(3 * c, 3 * c + 3) for c in range(k)]
-    return tracker.update(stamp_s, np.array(centres).reshape(-1, 2), np.zeros((k, 2, 2)), beams)
+    tracker.update(stamp_s, np.array(centres).reshape(-1, 2), np.zeros((k, 2, 2)), beams)
+    return tracker.shown()
 
 
 def at(t: float, x0: float = 0.0, y0: float = 0.0, vx: float = 1.0, vy: float = 0.5) -> FloatArray:
@@ -110,7 +111,8 @@ def test_covariance_of_a_track_is_honest(rng: np.random.Generator) -> None:
 def test_what_the_pose_adds_to_a_centre_counts() -> None:
     tracker = KalmanTracker(KalmanTrackerConfig(n_confirm=1))
     uncertain = np.array([[[0.5, 0.1], [0.1, 0.2]]])
-    track = tracker.update(0.0, np.zeros((1, 2)), uncertain, [np.arange(2)])[0]
+    tracker.update(0.0, np.zeros((1, 2)), uncertain, [np.arange(2)])
+    (track,) = tracker.shown()
     np.testing.assert_allclose(track.cov[:2, :2], uncertain[0] + 0.12**2 * np.eye(2))
 
 
@@ -179,7 +181,8 @@ def test_what_is_not_confirmed_is_not_expected() -> None:
 
 
 def update_with(tracker: KalmanTracker, stamp_s: float, centre: FloatArray, is_proven: bool) -> list[Track]:
-    return tracker.update(stamp_s, centre[None], np.zeros((1, 2, 2)), [np.arange(3)], np.array([is_proven]))
+    tracker.update(stamp_s, centre[None], np.zeros((1, 2, 2)), [np.arange(3)], np.array([is_proven]))
+    return tracker.shown()
 
 
 def test_what_no_free_cell_proves_begins_no_track_and_keeps_none_alive() -> None:
@@ -241,7 +244,8 @@ def test_tracks_are_reported_in_the_map_frame(rng: np.random.Generator) -> None:
     places, velocities = rng.normal(0.0, 9.0, (2, 2)), rng.normal(size=(2, 2))
     beams = [np.arange(3), np.arange(5, 9)]
     for k in range(5):
-        tracks = tracker.update(0.1 * k, places + 0.1 * k * velocities, uncertain, beams)
+        tracker.update(0.1 * k, places + 0.1 * k * velocities, uncertain, beams)
+        tracks = tracker.shown()
     reported = track_states(tracks, T_map_local)
     R = se2.rotation(2.5)
     assert [state.track_id for state in reported] == [0, 1]
@@ -271,10 +275,11 @@ def test_a_track_is_missed_only_where_a_laser_looked() -> None:
             angle_increment=0.1,
             ranges=np.full(19, np.inf),
             is_valid=np.full(19, False),
-            is_no_return=np.full(19, True),
+            no_return_m=30.0,
             is_one_of_several=True,
         )
-        return len(tracker.update(stamp, *nothing, None, view))
+        tracker.update(stamp, *nothing, None, view)
+        return len(tracker.tracks)
 
     unseen, missed, back = seen_once(), seen_once(), seen_once()
     n_unseen = [update(unseen, 0.1 * k, looks=False) for k in range(1, 25)]

@@ -131,7 +131,8 @@ def test_the_tracker_does_what_the_textbook_says(
     config = KalmanTrackerConfig(gate=gate, max_missed_s=0.5)
     tracker, plain = KalmanTracker(config), PlainTracker(config)
     for scan in people_seen(np.random.default_rng(seed), n_people, room_m, 30):
-        confirmed = tracker.update(scan.stamp_s, scan.centres, scan.covs, scan.beams, scan.is_proven)
+        tracker.update(scan.stamp_s, scan.centres, scan.covs, scan.beams, scan.is_proven)
+        confirmed = tracker.shown()
         plain.update(scan)
         assert confirmed == [track for track in tracker.tracks if track.n_hits >= config.n_confirm]
         assert [(t.track_id, t.n_hits) for t in tracker.tracks] == [
