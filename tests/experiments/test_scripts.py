@@ -64,6 +64,14 @@ def test_ablation(tmp_path: Path) -> None:
     assert {"one-walker, ATE [m]", "two-walkers, ghost cells/m^2"} <= set(rows)
 
 
+@pytest.mark.real
+def test_any_robot(tmp_path: Path, recorded_data: Path) -> None:
+    if not (recorded_data / "freiburg" / "fr079.clf.bz2").is_file():
+        pytest.skip("recorded logs are not here")
+    text = quick("any_robot", tmp_path, ("wheels", "laser alone"))
+    assert text.count("| fr079 |") == 2
+
+
 def test_tracking(tmp_path: Path) -> None:
     text = quick("tracking", tmp_path, tuple(tracking.TRACKERS), "--seeds", "1")
     assert "one-walker: what each part gives" in text
