@@ -145,6 +145,14 @@ def test_a_place_that_is_hardly_known_is_left_out() -> None:
     assert found.scans[found.is_seen].tolist() == [*range(15), *range(44, 60)]
 
 
+@pytest.mark.parametrize(
+    ("n", "speed", "is_kept"), [(14, 0.0, False), (15, 0.0, True), (8, 1.0, True), (4, 2.0, False)]
+)
+def test_what_goes_nowhere_must_be_seen_more_often(n: int, speed: float, is_kept: bool) -> None:
+    rows = np.array([[k, 3, 0.1 * speed * k, 0, 0.01, 0, 0.01, 0.4, math.nan] for k in range(n)])
+    assert bool(smooth_tracks(rows, STAMPS, np.zeros((60, 3)), CONFIG).objects) == is_kept
+
+
 def test_few_sightings_are_no_track_and_a_large_thing_is_no_person() -> None:
     rows = np.array([[k, 3, 0.1 * k, 0, 0.01, 0, 0.01, 1.6, math.nan] for k in range(30)], dtype=float)
     poses = np.zeros((60, 3))
