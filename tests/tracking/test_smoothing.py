@@ -100,7 +100,7 @@ def test_tracklets_are_linked_across_an_absence_and_moved_with_the_poses() -> No
 
 
 def test_who_cannot_be_the_same_is_not_linked() -> None:
-    absent = walk(np.random.default_rng(0), range(15, 55), POSES, STAMPS)[
+    absent = walk(np.random.default_rng(0), range(15, 50), POSES, STAMPS)[
         0
     ]  # longer than an appearance lasts
     far = absent.table()
