@@ -7,7 +7,6 @@ no robot can make since the scan before is never used.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,13 +30,11 @@ from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.innovation_noise import InnovationNoise, InnovationNoiseConfig
 from slammot_graph.odometry.motion import MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.prediction_record import Located, PredictionRecord
 from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
 
 MAX_MATCH_VARIANCE = 0.01
 """A match that is known worse in some direction [m^2, rad^2] tells nothing of the noise."""
-
-N_BEFORE = 2
-"""The first comparisons of both predictions count as if so many without any error stood before them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,9 +112,8 @@ class AdaptiveOdometry:
         self._scan_before: Scan | None = None
         self._scan_s = 0.0
         self._history = OdometryHistory()
-        self._record = _Record()
-        self._located: dict[int, _Located] = {}
-        self._match_before: dict[int, tuple[float, MatchedPose]] = {}
+        self._record = PredictionRecord()
+        self._located: dict[int, Located] = {}
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
@@ -179,17 +175,15 @@ class AdaptiveOdometry:
             self.previous.miss()
         scan = self._scan_before
         laser = 0 if scan is None else scan.laser.number
-        before = self._match_before.pop(laser, None)
-        if match is not None and laser in self._located:
-            self._learn(self._located[laser].T_local_base, match)
-            if before is not None:
-                self._compare_noise(before[1], match)
-                if match.is_reliable and before[1].is_reliable:
-                    self._calibrate(before, (now_s, match))
+        before = self._located.get(laser)
+        if match is not None and before is not None:
+            self._learn(before.T_local_base, match)
+            if before.match is not None:
+                self._compare_noise(before.match, match)
+                if match.is_reliable and before.match.is_reliable:
+                    self._calibrate((before.time_s, before.match), (now_s, match))
         has_odometry = scan is not None and scan.T_odom_base is not None
-        self._located[laser] = _Located(now_s, T_local_base, has_odometry)
-        if match is not None:
-            self._match_before[laser] = (now_s, match)
+        self._located[laser] = Located(now_s, T_local_base, has_odometry, match)
 
     @property
     def match_noise_scale(self) -> float:
@@ -344,64 +338,3 @@ def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:
     cov[2, :] = cov[:, 2] = 0.0
     cov[2, 2] = std_rad * std_rad
     return Motion(increment=increment, cov=cov)
-
-
-class _Located(NamedTuple):
-    """The latest scan of a laser: its time [s], where the base was found (3,), and whether it had odometry."""
-
-    time_s: float
-    T_local_base: FloatArray
-    has_odometry: bool
-
-
-class _Record:
-    """What was predicted for the latest scan, and how well both predictions did so far."""
-
-    def __init__(self) -> None:
-        self.n_by_odometry = 0
-        self.n_by_previous = 0
-        self.n_impossible = 0
-        self.has_odometry = False
-        self.is_odometry_used = True
-        self.is_possible = True
-        self.told: Motion | None = None
-        self.previous: FloatArray = np.zeros(3)
-        # share of returns that agree with the matches
-        self.agreement = _RunningMeans(1)
-        # squared error of the odometry and of the previous motion, excess of the odometry
-        self.errors = _RunningMeans(3, n_before=N_BEFORE)
-
-    def start_scan(self, told: Motion | None, previous: FloatArray) -> None:
-        """Take in both predictions of the next motion, the previous one as its increment (3,)."""
-        self.told, self.previous = told, previous
-        self.has_odometry |= told is not None
-
-    def count(self, *, use_odometry: bool, is_possible: bool) -> None:
-        """Count what was used."""
-        self.is_possible = is_possible
-        self.is_odometry_used = use_odometry
-        self.n_by_odometry += use_odometry
-        self.n_by_previous += not use_odometry
-        self.n_impossible += not is_possible
-
-
-class _RunningMeans:
-    """Means of which the latest value has a fixed weight, and at first that of an equal share.
-
-    Attributes
-    ----------
-    values : (n,) array
-    """
-
-    def __init__(self, n: int, n_before: int = 0) -> None:
-        self.values = np.zeros(n)
-        self._n = n_before
-
-    def gain(self, gain: float) -> float:
-        """Weight of the next value."""
-        self._n += 1
-        return max(gain, 1.0 / self._n)
-
-    def add(self, value: float, gain: float) -> None:
-        """Take in the next value."""
-        self.values += self.gain(gain) * (value - self.values)

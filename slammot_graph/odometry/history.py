@@ -1,6 +1,7 @@
 """The odometry on a clock that never runs backward, to be asked for poses between the scans."""
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 
@@ -230,7 +231,7 @@ class OdometryHistory:
             return np.array(poses[0])
         if times[-2] == time_s:
             return np.asarray(poses[-2])
-        k = min(max(int(np.searchsorted(times, time_s)), 1), n - 1)
+        k = min(max(bisect_left(times, time_s), 1), n - 1)
         start, end = float(times[k - 1]), float(times[k])
         if time_s == end:
             return np.asarray(poses[k])

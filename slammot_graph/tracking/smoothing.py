@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.checks import Checked, Count, Positive
+from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
 from slammot_graph.core.tracked_object import ObjectKind, TrackedObject
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
@@ -42,8 +42,9 @@ class SmoothingConfig(Checked):
     noise_factor : float
         On the covariances of the sightings, whose errors last for several scans.
     start_speed_std_m_s : float
-    min_sightings : int
-        Shorter chains are left out.
+    min_sightings, min_distance_m, min_standing : int, float, int
+        Shorter chains are left out; so are those that never got this far from their start and have fewer sightings
+        than the third: legs of chairs that were seen now and then go nowhere.
     max_absence_s : float
         Tracklets farther apart in time are not linked.
     twin_m : float
@@ -58,6 +59,8 @@ class SmoothingConfig(Checked):
     noise_factor: Positive = 2.0
     start_speed_std_m_s: Positive = 1.0
     min_sightings: Count = 5
+    min_distance_m: NotNegative = 0.5
+    min_standing: Count = 15
     max_absence_s: Positive = 3.0
     twin_m: Positive = 0.5
     gate: Positive = 13.28
@@ -122,6 +125,12 @@ class _Chain:
     sizes: FloatArray
     thickness: FloatArray
 
+    def is_object(self, config: SmoothingConfig) -> bool:
+        """Whether it has enough sightings, for where it went."""
+        n = len(self.scans)
+        away = np.hypot(*(self.places - self.places[0]).T).max()
+        return bool(n >= config.min_standing or (n >= config.min_sightings and away >= config.min_distance_m))
+
     def smoothed(
         self, scans: IntArray, stamps: FloatArray, config: SmoothingConfig
     ) -> tuple[FloatArray, FloatArray]:
@@ -166,7 +175,7 @@ def smooth_tracks(
     """
     tracklets = _tracklets(sightings, T_map_base)
     chains = _linked([one for one in tracklets if len(one.scans) >= 3], stamps, config)
-    kept = [chain for chain in chains if len(chain.scans) >= config.min_sightings]
+    kept = [chain for chain in chains if chain.is_object(config)]
     kept.sort(key=lambda chain: int(chain.scans[0]))
     kept = _without_twins(kept, config.twin_m)
     scans, ids, states, covs, is_seen = [], [], [], [], []

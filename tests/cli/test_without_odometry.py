@@ -58,7 +58,9 @@ def test_every_method_that_matches_runs(log: Path, made: ListLog, method: str) -
     assert np.isnan(result.T_map_odom_base).all()
     assert result.T_map_odom_base.shape == result.T_map_base.shape
     error_m = absolute_error(result.T_map_base, truth_of(made)).translation_m.rmse
-    assert error_m < {"icp": 0.5, "docpfo": 0.5}.get(method, 0.06 if method.startswith("kiss") else 0.03)
+    # the paper's ICP drifts with the start that the previous motion gives it
+    drifting = {"icp": 0.5, "docpfo": 0.5, "icp-every-scan": 0.15, "docpfo-every-scan": 0.15}
+    assert error_m < drifting.get(method, 0.06 if method.startswith("kiss") else 0.03)
 
 
 def test_a_run_with_recording_and_picture(

@@ -100,7 +100,7 @@ def test_tracklets_are_linked_across_an_absence_and_moved_with_the_poses() -> No
 
 
 def test_who_cannot_be_the_same_is_not_linked() -> None:
-    absent = walk(np.random.default_rng(0), range(15, 55), POSES, STAMPS)[
+    absent = walk(np.random.default_rng(0), range(15, 50), POSES, STAMPS)[
         0
     ]  # longer than an appearance lasts
     far = absent.table()
@@ -143,6 +143,14 @@ def test_a_place_that_is_hardly_known_is_left_out() -> None:
     assert absent == list(range(absent[0], absent[-1] + 1))
     assert 15 < absent[0] < absent[-1] < 43
     assert found.scans[found.is_seen].tolist() == [*range(15), *range(44, 60)]
+
+
+@pytest.mark.parametrize(
+    ("n", "speed", "is_kept"), [(14, 0.0, False), (15, 0.0, True), (8, 1.0, True), (4, 2.0, False)]
+)
+def test_what_goes_nowhere_must_be_seen_more_often(n: int, speed: float, is_kept: bool) -> None:
+    rows = np.array([[k, 3, 0.1 * speed * k, 0, 0.01, 0, 0.01, 0.4, math.nan] for k in range(n)])
+    assert bool(smooth_tracks(rows, STAMPS, np.zeros((60, 3)), CONFIG).objects) == is_kept
 
 
 def test_few_sightings_are_no_track_and_a_large_thing_is_no_person() -> None:
