@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation.laser import laser_named, measure
@@ -16,6 +17,7 @@ from slammot_graph.simulation.robot import (
     poses_per_period,
     simulate_odometry,
 )
+from slammot_graph.simulation.surfaces import Surfaces, choose_walls
 from slammot_graph.simulation.sweeps import beam_poses, circles_during_sweeps
 from slammot_graph.simulation.worlds import world_named
 
@@ -38,6 +40,8 @@ class Scenario:
         How often the robot drives its route.
     sweep : float
         Share of the time between scans in which the beams are sent out one after the other; 0: snapshots.
+    glass, mirrors : float
+        Shares of the walls that return nothing but at right angles, and that return what they show; of snapshots alone.
     drive, odometry, people
         Configuration of the parts.
     mountings : tuple of (x, y, theta)
@@ -52,6 +56,8 @@ class Scenario:
     n_people: int = 0
     n_laps: int = 1
     sweep: float = 0.0
+    glass: float = 0.0
+    mirrors: float = 0.0
     drive: DriveConfig = field(default_factory=DriveConfig)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     people: PeopleConfig = field(default_factory=PeopleConfig)
@@ -137,7 +143,7 @@ def simulate(
     Raises
     ------
     ConfigError
-        An unknown name, a negative number of people, seed or noise.
+        An unknown name, a negative number of people, seed or noise; glass or mirrors seen by a laser that sweeps.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
     if seed < 0:
@@ -150,6 +156,8 @@ def simulate(
         n_laps=chosen.n_laps if n_laps is None else n_laps,
         sweep=chosen.sweep if sweep is None else sweep,
     )
+    if chosen.sweep and (chosen.glass or chosen.mirrors):
+        raise ConfigError("glass and mirrors are simulated for lasers that do not sweep: sweep must be 0")
     world = world_named(chosen.world)
     scanner = replace(laser_named(chosen.laser).at_rate(chosen.rate_hz), sweep=chosen.sweep)
     streams = np.random.default_rng(seed).spawn(4)
@@ -178,6 +186,15 @@ def simulate(
     ):
         own = slice(number, None, n_lasers)
         ranges[own], hits[own] = measure(seen_from[own], one, world.segments, shapes[own], rng)
+        if chosen.glass or chosen.mirrors:
+            walls = np.random.default_rng((seed, len(world.segments)))
+            T_world_laser = se2.compose(T_world_base[own], np.array(one.model.T_base_laser))
+            surfaces = Surfaces(
+                segments=world.segments,
+                glass=choose_walls(world.segments, chosen.glass, walls),
+                mirrors=choose_walls(world.segments, chosen.mirrors, walls),
+            )
+            ranges[own] = surfaces.seen(ranges[own], hits[own], T_world_laser, one.model, one.no_return_m)
     is_moving = hits >= 0
     object_id = (
         np.where(is_moving, person[np.maximum(hits, 0)], -1) if len(person) else np.full_like(hits, -1)
