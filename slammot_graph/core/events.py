@@ -10,6 +10,7 @@ EventKind = Literal[
     "contradiction",
     "recovered",
     "laser blind",
+    "factor dropped",
     "closure accepted",
     "closure waiting",
     "closure refused",
@@ -23,6 +24,7 @@ SEVERITIES: Mapping[EventKind, Severity] = {
     "contradiction": "warning",
     "recovered": "info",
     "laser blind": "warning",
+    "factor dropped": "warning",
     "closure accepted": "info",
     # routine: each finished local map is compared with several others nearby, most of which show another place
     "closure waiting": "info",
@@ -76,6 +78,10 @@ _TEXTS: Mapping[EventKind, Callable[[Mapping[str, Any]], str]] = {
     ),
     "recovered": _recovered,
     "laser blind": _laser_blind,
+    "factor dropped": lambda data: (
+        f"{data['factor']} factor {data['from_node']}-{data['to_node']} dropped, the pose graph goes on without it:"
+        f" {data['reason']}"
+    ),
     "closure accepted": lambda data: (
         f"{_pair(data)} accepted" + (f", {data['reason']}" if data["reason"] else "")
     ),
@@ -99,7 +105,8 @@ class Event:
         What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped", "blind
         drive" or "failed matches") and `n_scans` of a lost robot; `cause` ("repeated" or "covered") of a blind laser;
         `reason` of a contradiction; `after` ("contradiction" or "lost"), `n_scans` since then and `n_consistent` of a
-        recovery; `target_node`, `source_node` and `reason` of a closure.
+        recovery; `factor`, `from_node`, `to_node` and `reason` of what the graph could not take in; `target_node`,
+        `source_node` and `reason` of a closure.
     """
 
     kind: EventKind

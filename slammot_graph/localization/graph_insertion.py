@@ -45,6 +45,7 @@ class GraphInsertion:
         self.n_times_lost = 0
         self._n_submaps = 0
         self._was_blind = False
+        self._lost_cov = config.lost_cov
         self._submap_config = config.closure.submap
 
     def anchor(self, T_local_base: FloatArray) -> tuple[int, FloatArray]:
@@ -100,13 +101,17 @@ class GraphInsertion:
             T_map_node = se2.compose(keyframes.T_map_local, T_local_base)
             node = self.graph.add_node(T_map_node)
             T_last_node = keyframes.since_node(T_odom_base)
-            self.graph.add_edge("odometry", last, node, T_last_node, invert(keyframes.cov_since_node))
+            information = invert(keyframes.cov_since_node)
+            if self.graph.try_edge("odometry", last, node, T_last_node, information) is None:
+                # a node needs an edge: by the matches, as weak as what is known of a lost robot
+                T_by_matches = se2.between(self.graph.pose(last), T_map_node)
+                self.graph.add_edge("odometry", last, node, T_by_matches, invert(self._lost_cov))
             if self._was_blind and self.closer is not None:
                 self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
             self._was_blind = False
             if match is not None and match.status != "failed" and self.local_map.keyframes:
                 anchor = self.local_map.anchor.node
-                self.graph.add_edge("match", anchor, node, match.T_ref_base, match.graph_information)
+                self.graph.try_edge("match", anchor, node, match.T_ref_base, match.graph_information)
         keyframes.start_node(T_odom_base, T_local_base, T_map_node)
         self.node_scans.append(scan)
         return node

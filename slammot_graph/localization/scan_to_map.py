@@ -149,8 +149,27 @@ class ScanToMap:
             is_keyframe=is_keyframe,
             is_lost=is_lost,
             closures=closures,
-            events=(*events, *(attempt.event(scan.index) for attempt in closures)),
+            events=(
+                *events,
+                *(attempt.event(scan.index) for attempt in closures),
+                *self._dropped(scan.index),
+            ),
         )
+
+    def _dropped(self, scan: int) -> list[Event]:
+        """Tell of what the graph could not take in."""
+        dropped, self.graph.dropped = self.graph.dropped, []
+        return [
+            make_event(
+                "factor dropped",
+                scan,
+                factor=edge.kind,
+                from_node=edge.from_node,
+                to_node=edge.to_node,
+                reason=reason,
+            )
+            for edge, reason in dropped
+        ]
 
     def odometry_report(self) -> OdometryReport:
         """See `Localizer`."""

@@ -85,6 +85,8 @@ class LoopCloser:
         if self.is_known:
             self.submaps.remove(submap)
         if changed:
+            dropped = {id(edge) for edge, _ in self.graph.dropped}
+            self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
         return tuple(attempts)
 
@@ -226,14 +228,15 @@ class LoopCloser:
 
     def _add_edges(self, closures: list[Closure]) -> None:
         for closure in closures:
-            edge = self.graph.add_edge(
+            edge = self.graph.try_edge(
                 "closure",
                 closure.target.anchor,
                 closure.source.anchor,
                 closure.T_target_source,
                 closure.information,
             )
-            self.accepted.append((closure, edge))
+            if edge is not None:
+                self.accepted.append((closure, edge))
 
     def _residuals2(self) -> FloatArray:
         """(k,) squared residuals of the accepted closures, each in its own covariance."""

@@ -35,6 +35,11 @@ CLOSURE: dict[str, str | int | float] = {"target_node": 12, "source_node": 340, 
             "warning",
             "laser blind: something covers the laser; the odometry alone tells of the motion",
         ),
+        (
+            make_event("factor dropped", 3, factor="match", from_node=3, to_node=7, reason="not finite"),
+            "warning",
+            "match factor 3-7 dropped, the pose graph goes on without it: not finite",
+        ),
         (make_event("closure refused", 3, **CLOSURE), "info", "closure 12-340 refused: no pose agrees"),
         (
             make_event("closure rejected", 3, **CLOSURE),
