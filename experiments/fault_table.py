@@ -1,7 +1,7 @@
 """What happens when something goes wrong, and which test holds it: ``python -m experiments.fault_table``.
 
-Runs the tests that each row names and prints fault, what happens, how it is tested, and the result. ``--list`` prints the
-table without running anything.
+Runs the tests that each row names and prints fault, what happens, how it is tested, and the result. ``--list`` prints
+the table without running anything.
 """
 
 import argparse

