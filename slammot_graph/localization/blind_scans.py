@@ -10,7 +10,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event, make_event
-from slammot_graph.core.scan import Scan
+from slammot_graph.core.scan import NO_RETURN_FRACTION, Scan
 from slammot_graph.core.types import FloatArray
 
 Blindness = Literal["repeated", "covered"]
@@ -19,8 +19,12 @@ MOVED_M, MOVED_RAD = 0.02, 0.01
 """By so much the odometry has moved while a laser that has seen it move cannot give the same numbers again."""
 SHRUNK_M, SHRUNK_M_S = 0.3, 3.0
 """Beams that shorten by more, at once and with time, are cut off by something that comes: robots do not drive so."""
+NEARER = 1.0 / 3.0
+"""... and to less than this share: a robot that was carried into a smaller room sees walls, not a cover."""
 COVERED_SHARE = 0.9
 """Of the beams, at least, so that it is the laser that is covered and not the robot that is approached."""
+LEAST_SEEN_SHARE = 0.3
+"""Of the beams that had a return before: of others it is not known how far they saw."""
 LATELY_S = 0.5
 """Within such a time a laser is covered: it is compared with how far it saw before."""
 LONGEST_GAP_S = 1.0
@@ -108,9 +112,14 @@ class _OneLaser:
         n, was = len(ranges), before.ranges
         if sum(ranges[int(q * n)] < was[int(q * n)] - limit for q in _LOOKED_AT) < 3:
             return False
-        is_seen = (ranges >= max(scan.laser.range_min, 1e-3)) & np.isfinite(ranges)
-        n_shorter = np.count_nonzero(is_seen & (ranges < was - limit))
-        if n_shorter < COVERED_SHARE * n:
+        is_seen = scan.is_valid()
+        was_seen = np.isfinite(was) & (was > 0.0) & (was < NO_RETURN_FRACTION * scan.laser.range_max)
+        is_shorter = is_seen & was_seen & (ranges < was - limit) & (ranges < NEARER * was)
+        if (
+            np.count_nonzero(is_seen) < COVERED_SHARE * n
+            or np.count_nonzero(was_seen) < LEAST_SEEN_SHARE * n
+            or np.count_nonzero(is_shorter) < COVERED_SHARE * np.count_nonzero(was_seen)
+        ):
             return False
         self._cover = ranges
         return True

@@ -73,3 +73,17 @@ def test_a_hall_beyond_reach_looks_the_same_everywhere() -> None:
     scans = [scan_at(k, 0.1 * k) for k in range(10)]
     limit = scans[0].laser.range_max
     assert set(judged([replace(x, ranges=np.full(len(x.ranges), limit)) for x in scans])) == {None}
+
+
+def test_a_laser_that_saw_nothing_before_is_not_covered_by_what_it_sees_then() -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(20)]
+    for k in (8, 9, 10):
+        scans[k].ranges[:] = np.inf
+    assert set(judged(scans)) == {None}
+
+
+def test_a_robot_carried_into_a_smaller_room_is_not_covered() -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(20)]
+    for scan in scans[:10]:
+        scan.ranges[:] *= 2.5  # up to there in a larger one
+    assert set(judged(scans)) == {None}
