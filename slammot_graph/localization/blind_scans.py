@@ -110,7 +110,11 @@ class _OneLaser:
             return False
         limit = SHRUNK_M + SHRUNK_M_S * (stamp - before.stamp)
         n, was = len(ranges), before.ranges
-        if sum(ranges[int(q * n)] < was[int(q * n)] - limit for q in _LOOKED_AT) < 3:
+        n_shorter = 0
+        for share in _LOOKED_AT:
+            k = int(share * n)
+            n_shorter += ranges.item(k) < was.item(k) - limit
+        if n_shorter < 3:
             return False
         is_seen = scan.is_valid()
         was_seen = np.isfinite(was) & (was > 0.0) & (was < NO_RETURN_FRACTION * scan.laser.range_max)
