@@ -7,7 +7,7 @@ DOCS_READY := $(VENV)/.ready-docs
 # lines of the package that the tests run, in percent; numba's kernels are not counted
 COVERAGE := 96
 
-.PHONY: demo test bench docs format clean clean-kernels
+.PHONY: demo test fuzz bench docs format clean clean-kernels
 
 demo: $(READY)
 	$(BIN)/slammot-graph demo --output runs/demo
@@ -17,6 +17,10 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --cov --cov-report=term --cov-fail-under=$(COVERAGE)
+
+# 20,000 examples for each reader, other ones each time
+fuzz: $(READY)
+	SLAMMOT_HYPOTHESIS=long $(BIN)/pytest -n 2 tests/fuzz
 
 bench: $(READY)
 	$(BIN)/python -m experiments.speed --gate

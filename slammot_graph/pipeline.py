@@ -20,6 +20,7 @@ from slammot_graph.detection.factory import make_detector
 from slammot_graph.detection.reasons import FREE
 from slammot_graph.detection.scan_history import ScanHistory
 from slammot_graph.localization.base import Estimate, FinalEstimate
+from slammot_graph.localization.blind_scans import BlindScans
 from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
 from slammot_graph.mapping.final_map import MapScan, render_final_map
@@ -64,6 +65,7 @@ class Pipeline:
         self.detector = make_detector(config.detector, max_range_m=config.max_range_m, map_grid=self.grid)
         self.tracker = make_tracker(config.tracker)
         self.health = HealthMonitor()
+        self._blind_scans = BlindScans()
         self._history = ScanHistory()
         self._sightings = SightingHistory()
         self._stamps = array("d")
@@ -84,6 +86,7 @@ class Pipeline:
         """Take in the next scan."""
         watch = self._stopwatch
         watch.restart()
+        scan, blind_events = self._blind_scans.emptied(scan)
         is_valid = scan.is_valid(self.config.max_range_m, self.config.range_fraction)
         predicted = self.localizer.predict(scan)
         scan = self.localizer.deskew(scan)
@@ -139,7 +142,7 @@ class Pipeline:
             innovation_nis=math.nan if match is None else match.nis,
             tracks=tracks,
             node=committed.node,
-            events=(*committed.events, *health.events),
+            events=(*blind_events, *committed.events, *health.events),
             stage_ms=watch.read(),
             closures=committed.closures,
             health=health.state,

@@ -5,15 +5,15 @@ from pathlib import Path
 from slammot_graph.core.results import RunResult
 from slammot_graph.core.saved_run import RunFolder
 from slammot_graph.run_folder.atomic import replacing
-from slammot_graph.run_folder.directory import prepare_output
+from slammot_graph.run_folder.directory import claimed_output
 from slammot_graph.run_folder.reader import read_run_folder
-from slammot_graph.run_folder.writer import write_run_folder
+from slammot_graph.run_folder.writer import write_each, write_run_folder
 
 
 def save_run(result: RunResult, directory: str | Path, *, overwrite: bool = False) -> None:
     """Write a run into a folder that is new, empty, or holds a run that may be replaced; see `RunResult.save`."""
-    prepare_output(directory, overwrite=overwrite)
-    write_run(result, directory)
+    with claimed_output(directory, overwrite=overwrite):
+        write_run(result, directory)
 
 
 def write_run(result: RunResult, directory: str | Path) -> None:
@@ -22,18 +22,21 @@ def write_run(result: RunResult, directory: str | Path) -> None:
     Raises
     ------
     InputError
-        A file cannot be written; the text names it.
+        A file cannot be written; the text names it. All others were tried before.
     """
-    from slammot_graph.viz.overview import draw_overview
 
-    write_run_folder(directory, result)
-    with replacing(Path(directory) / "overview.png") as path:
-        draw_overview(
-            result,
-            path,
-            log_name=None if result.log.path is None else result.log.path.name,
-            moving_points=result.moving_points,
-        )
+    def write_picture() -> None:
+        from slammot_graph.viz.overview import draw_overview
+
+        with replacing(Path(directory) / "overview.png") as path:
+            draw_overview(
+                result,
+                path,
+                log_name=None if result.log.path is None else result.log.path.name,
+                moving_points=result.moving_points,
+            )
+
+    write_each(lambda: write_run_folder(directory, result), write_picture)
 
 
 def load_run(directory: str | Path) -> RunFolder:

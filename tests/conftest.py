@@ -1,5 +1,6 @@
 """Settings and fixtures of all tests."""
 
+import os
 from pathlib import Path
 
 import hypothesis
@@ -10,7 +11,8 @@ from tests.real import cases_directory, data_directory
 
 # compiling a kernel and a busy machine both make a first example slow
 hypothesis.settings.register_profile("default", deadline=None, max_examples=50)
-hypothesis.settings.load_profile("default")
+hypothesis.settings.register_profile("long", deadline=None, max_examples=20_000)  # make fuzz
+hypothesis.settings.load_profile(os.environ.get("SLAMMOT_HYPOTHESIS", "default"))
 
 
 @pytest.fixture

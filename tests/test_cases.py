@@ -130,6 +130,23 @@ def test_the_cause_is_told(cases: Path, name: str, kind: FindingKind, words: str
     assert any(re.search(words, text) for text in texts)
 
 
+@pytest.mark.parametrize(("name", "cause"), [("covered30s_03m", "covers"), ("frozen_laser30s", "same scan")])
+def test_a_laser_that_is_blind_for_long(cases: Path, name: str, cause: str) -> None:
+    result = run(cases / f"{name}.npz")
+    truth = truth_of(cases, f"{name}.npz", result.stamps)
+    assert any(cause in event.text for event in result.events if event.kind == "laser blind")
+    assert "laser blind" in kinds_of(result)
+    for edge in result.edges:
+        if edge.kind == "closure":
+            a, b = result.node_scans[[edge.from_node, edge.to_node]]
+            assert se2.distance(edge.T_from_to, se2.between(truth[a], truth[b]))[0] < 0.2
+    from_start = se2.compose(se2.compose(truth[0], se2.inverse(result.T_map_base[0])), result.T_map_base)
+    error = np.hypot(*(from_start - truth)[:, :2].T)
+    std = np.sqrt(result.cov_map[:, 0, 0] + result.cov_map[:, 1, 1])
+    assert std[790] > 0.5  # it grew
+    assert (error < 3.5 * std + 0.05).all()
+
+
 def test_the_forwards_twin_has_nothing_to_tell(cases: Path) -> None:
     assert run(cases / "forwards_laser_no_tf.bag").verdict == ()
 

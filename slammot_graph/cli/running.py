@@ -1,6 +1,7 @@
 """The commands that run methods: `run` and `demo`."""
 
 import contextlib
+import errno
 import math
 import signal
 import threading
@@ -50,6 +51,9 @@ NIS_HINT = (
 )
 SHOWN = ("scan_topic", "odom_topic", "imu_topic", "odom_frame", "base_frame", "odometry")
 """What of the log's source the table shows."""
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What the system says of a disk that is full, or of more than a user may have on it."""
 
 RerunMode = Literal["file", "spawn", "off"]
 
@@ -159,6 +163,8 @@ def run_command(
     told = {finding.kind for finding in early}
     warn_of(opened, [finding for finding in outcome.result.verdict if finding.kind not in told])
     stdout().print(_run_table(outcome))
+    if outcome.failure is not None:
+        raise outcome.failure
     return EXIT_INTERRUPTED if outcome.was_interrupted else EXIT_OK
 
 
@@ -184,6 +190,8 @@ def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path
     for method in DEMO_METHODS:
         run = Run(log, method, observers=_observers(output / method, "file"))
         outcome = _execute(run, log, output / method, overwrite=True)
+        if outcome.failure is not None:
+            raise outcome.failure
         if outcome.was_interrupted:
             return EXIT_INTERRUPTED
         table.add_row(method, *_truth_cells(outcome.result, log))
@@ -209,40 +217,72 @@ class _Outcome:
     log: "LaserLog"
     output: Path
     was_interrupted: bool
+    failure: Exception | None
+    """What ended the run, or went wrong at its end."""
 
 
 def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> _Outcome:
     """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
-    from slammot_graph.run_folder.directory import prepare_output
-    from slammot_graph.saving import write_run
+    from slammot_graph.run_folder.directory import claimed_output
 
-    prepare_output(output, overwrite=overwrite)
-    _announce_compilation()
-    failure: Exception | None = None
-    n_scans = 0
-    with _interrupt_flag() as is_interrupted:
-        try:
-            with run, scan_progress(log, run.method, run.max_scans) as show:
-                steps = iter(run)  # held, so that leaving the run is what ends it
-                for n_scans, _ in enumerate(steps, start=1):
-                    show(n_scans)
-                    if is_interrupted():
-                        break
-        except Exception as error:  # a truncated log, a full disk: first save, then say so
-            if n_scans == 0:
-                raise
-            failure = error
-        result = run.result()
-        write_run(result, output)
+    with claimed_output(output, overwrite=overwrite):
+        _announce_compilation()
+        failures: list[Exception] = []
+        n_scans = 0
+        with _interrupt_flag() as is_interrupted:
+            try:
+                with run, scan_progress(log, run.method, run.max_scans) as show:
+                    steps = iter(run)  # held, so that leaving the run is what ends it
+                    for n_scans, _ in enumerate(steps, start=1):
+                        show(n_scans)
+                        if is_interrupted():
+                            break
+            except Exception as error:  # a truncated log, a full disk: first save, then say so
+                if n_scans == 0:
+                    raise
+                failures.append(error)
+            result = run.result()
+            failures += _write(result, output)
+        was_interrupted = is_interrupted()
     warn(log)
     for text in result.failures:
         stderr().print(f"warning: could not be computed: {text}", soft_wrap=True)
-    if failure is not None or is_interrupted():
-        why = "stopped" if failure is not None else "interrupted"
-        stderr().print(f"{why} after {n_scans} scans; what was computed is in {output}")
-    if failure is not None:
-        raise failure
-    return _Outcome(result=result, run=run, log=log, output=output, was_interrupted=is_interrupted())
+    for other in failures[1:]:
+        stderr().print(f"warning: {' '.join(str(other).split())}", soft_wrap=True)
+    if failures or was_interrupted:
+        why = "interrupted after" if not failures else "done with all" if run.is_complete else "stopped after"
+        stderr().print(f"{why} {n_scans} scans; what was computed is in {output}", soft_wrap=True)
+    return _Outcome(
+        result=result,
+        run=run,
+        log=log,
+        output=output,
+        was_interrupted=was_interrupted,
+        failure=failures[0] if failures else None,
+    )
+
+
+def _write(result: "RunResult", output: Path) -> list[Exception]:
+    """Write what was computed, at the expense of the recording where the disk is full; returns what went wrong."""
+    from slammot_graph.saving import write_run
+
+    recording = output / "run.rrd"
+    try:
+        write_run(result, output)
+    except Exception as error:
+        is_full = isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL
+        if not (is_full and recording.exists()):
+            return [error]
+    else:
+        return []
+    try:
+        recording.unlink()
+        write_run(result, output)
+    except Exception as error:
+        return [error]
+    return [
+        InputError(f"{recording}: removed, to make room for the results; free some space or pass --rerun off")
+    ]
 
 
 @cache

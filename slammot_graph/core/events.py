@@ -9,6 +9,8 @@ EventKind = Literal[
     "lost",
     "contradiction",
     "recovered",
+    "laser blind",
+    "factor dropped",
     "closure accepted",
     "closure waiting",
     "closure refused",
@@ -21,6 +23,8 @@ SEVERITIES: Mapping[EventKind, Severity] = {
     "lost": "error",
     "contradiction": "warning",
     "recovered": "info",
+    "laser blind": "warning",
+    "factor dropped": "warning",
     "closure accepted": "info",
     # routine: each finished local map is compared with several others nearby, most of which show another place
     "closure waiting": "info",
@@ -36,12 +40,26 @@ def _pair(data: Mapping[str, Any]) -> str:
 
 
 def _lost(data: Mapping[str, Any]) -> str:
+    n = data["n_scans"]
+    if data["cause"] == "blind drive":
+        return (
+            f"lost: drove for {n} scans with nothing in sight, a new local map begins where the odometry says"
+        )
     why = (
-        f"{data['n_scans']} scans with nothing in sight, the robot may have been kidnapped"
+        f"{n} scans with nothing in sight, the robot may have been kidnapped"
         if data["cause"] == "kidnapped"
-        else f"{data['n_scans']} matches failed in a row"
+        else f"{n} matches failed in a row"
     )
     return f"lost: {why}, a new local map begins here"
+
+
+def _laser_blind(data: Mapping[str, Any]) -> str:
+    why = (
+        "the laser gives the same scan again and again while the robot moves"
+        if data["cause"] == "repeated"
+        else "something covers the laser"
+    )
+    return f"laser blind: {why}; the odometry alone tells of the motion"
 
 
 def _recovered(data: Mapping[str, Any]) -> str:
@@ -59,6 +77,11 @@ _TEXTS: Mapping[EventKind, Callable[[Mapping[str, Any]], str]] = {
         + (f", {data['reason']}" if data["reason"] else "")
     ),
     "recovered": _recovered,
+    "laser blind": _laser_blind,
+    "factor dropped": lambda data: (
+        f"{data['factor']} factor {data['from_node']}-{data['to_node']} dropped, the pose graph goes on without it:"
+        f" {data['reason']}"
+    ),
     "closure accepted": lambda data: (
         f"{_pair(data)} accepted" + (f", {data['reason']}" if data["reason"] else "")
     ),
@@ -79,10 +102,11 @@ class Event:
     scan : int
         Index of the scan at which it happened.
     data : mapping
-        What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped" or
-        "failed matches") and `n_scans` of a lost robot; `reason` of a contradiction; `after` ("contradiction" or
-        "lost"), `n_scans` since then and `n_consistent` of a recovery; `target_node`, `source_node` and
-        `reason` of a closure.
+        What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped", "blind
+        drive" or "failed matches") and `n_scans` of a lost robot; `cause` ("repeated" or "covered") of a blind laser;
+        `reason` of a contradiction; `after` ("contradiction" or "lost"), `n_scans` since then and `n_consistent` of a
+        recovery; `factor`, `from_node`, `to_node` and `reason` of what the graph could not take in; `target_node`,
+        `source_node` and `reason` of a closure.
     """
 
     kind: EventKind

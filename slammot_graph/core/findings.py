@@ -17,6 +17,7 @@ FindingKind = Literal[
     "nothing matched",
     "many failed matches",
     "lost",
+    "laser blind",
     "contradiction",
     "no odometry",
     "odometry never moves",

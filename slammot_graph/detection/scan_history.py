@@ -1,18 +1,17 @@
 """What was decided about each scan of a run, kept small: for the final labels and for the map."""
 
+import io
 import struct
-import weakref
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from tempfile import SpooledTemporaryFile
 from typing import overload
 
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.core.spool import Spool
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
@@ -73,10 +72,7 @@ class ScanHistory(Sequence[ScanRecord]):
         self._places = array("q")
         self.stamps = array("d")
         self.laser_numbers = array("q")
-        self._file = SpooledTemporaryFile(max_size=MOST_IN_MEMORY)  # noqa: SIM115
-        weakref.finalize(self, self._file.close)
-        self._end = 0
-        self._is_at_end = True
+        self._spool = Spool(MOST_IN_MEMORY)
 
     def append(
         self,
@@ -90,13 +86,7 @@ class ScanHistory(Sequence[ScanRecord]):
         window: int,
         is_doubtful: bool,
     ) -> None:
-        """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`.
-
-        Raises
-        ------
-        SlammotError
-            The disk is full.
-        """
+        """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`."""
         # of several lasers, each is among the latest few
         laser = next((k for k, x in enumerate(self._lasers[-1:-9:-1], start=1) if x is scan.laser), 0)
         laser = len(self._lasers) - laser
@@ -110,20 +100,9 @@ class ScanHistory(Sequence[ScanRecord]):
         packed = b"".join(
             (head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes(), _packed_sweep(scan))
         )
-        try:
-            if not self._is_at_end:
-                self._file.seek(self._end)
-                self._is_at_end = True
-            self._file.write(packed)
-        except OSError as error:
-            raise SlammotError(
-                f"the temporary file of the scans cannot be written ({error.strerror or error}); "
-                "free some space, or set TMPDIR to a folder that has some"
-            ) from error
-        self._places.append(self._end)
+        self._places.append(self._spool.add(packed))
         self.stamps.append(scan.stamp)
         self.laser_numbers.append(scan.laser.number)
-        self._end += len(packed)
 
     @overload
     def __getitem__(self, k: int) -> ScanRecord: ...
@@ -134,8 +113,8 @@ class ScanHistory(Sequence[ScanRecord]):
     def __getitem__(self, k: int | slice) -> ScanRecord | list[ScanRecord]:
         """Unpack one or several; ranges and covariances come back in single precision."""
         if isinstance(k, slice):
-            return [self._unpack(place) for place in self._places[k]]
-        return self._unpack(self._places[k])
+            return [self._unpack(j) for j in range(*k.indices(len(self)))]
+        return self._unpack(range(len(self))[k])
 
     @property
     def n_lasers(self) -> int:
@@ -147,15 +126,16 @@ class ScanHistory(Sequence[ScanRecord]):
 
     def close(self) -> None:
         """Give the temporary file back."""
-        self._file.close()
+        self._spool.close()
 
-    def _unpack(self, place: int) -> ScanRecord:
-        self._is_at_end = False
-        self._file.seek(place)
-        index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack(self._file.read(_HEAD.size))
-        ranges = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
-        masks = np.frombuffer(self._file.read(n), dtype=np.uint8)
-        beam_times, sweep = self._read_sweep(n, n_knots)
+    def _unpack(self, k: int) -> ScanRecord:
+        place = self._places[k]
+        end = self._places[k + 1] if k + 1 < len(self) else self._spool.n_bytes
+        file = io.BytesIO(self._spool.read(place, end - place))
+        index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack(file.read(_HEAD.size))
+        ranges = np.frombuffer(file.read(4 * n), dtype=np.float32).astype(np.float64)
+        masks = np.frombuffer(file.read(n), dtype=np.uint8)
+        beam_times, sweep = _read_sweep(file, n, n_knots)
         valid, moving, wall, displaced, lasting = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8, 16))
         return ScanRecord(
             scan=Scan(
@@ -177,20 +157,21 @@ class ScanHistory(Sequence[ScanRecord]):
             is_doubtful=is_doubtful,
         )
 
-    def _read_sweep(self, n: int, n_knots: int) -> tuple[FloatArray | None, SweepMotion | None]:
-        """Beam times (n,) and motion of a deskewed scan."""
-        if not n_knots:
-            return None, None
-        first_s, last_s, *cov = _SWEEP.unpack(self._file.read(_SWEEP.size))
-        knots = np.frombuffer(self._file.read(12 * n_knots), dtype=np.float32).astype(np.float64)
-        times = np.frombuffer(self._file.read(4 * n), dtype=np.float32).astype(np.float64)
-        sweep = SweepMotion(
-            first_s=first_s,
-            last_s=last_s,
-            T_stamp_base=knots.reshape(-1, 3),
-            cov_velocity=np.array(cov).reshape(3, 3),
-        )
-        return times, sweep
+
+def _read_sweep(file: io.BytesIO, n: int, n_knots: int) -> tuple[FloatArray | None, SweepMotion | None]:
+    """Beam times (n,) and motion of a deskewed scan."""
+    if not n_knots:
+        return None, None
+    first_s, last_s, *cov = _SWEEP.unpack(file.read(_SWEEP.size))
+    knots = np.frombuffer(file.read(12 * n_knots), dtype=np.float32).astype(np.float64)
+    times = np.frombuffer(file.read(4 * n), dtype=np.float32).astype(np.float64)
+    sweep = SweepMotion(
+        first_s=first_s,
+        last_s=last_s,
+        T_stamp_base=knots.reshape(-1, 3),
+        cov_velocity=np.array(cov).reshape(3, 3),
+    )
+    return times, sweep
 
 
 def _packed_sweep(scan: Scan) -> bytes:

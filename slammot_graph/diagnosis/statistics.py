@@ -27,6 +27,8 @@ class RunStatistics:
         How often match and odometry began to contradict each other.
     first_contradiction : int or None
         Its scan.
+    blind : list of (int, str)
+        Scans from which on the laser was blind, and the cause.
     """
 
     def __init__(self, limits: MatchLimits) -> None:
@@ -39,6 +41,7 @@ class RunStatistics:
         self.n_lost = 0
         self.n_contradictions = 0
         self.first_contradiction: int | None = None
+        self.blind: list[tuple[int, str]] = []
 
     def add(self, step: StepResult) -> None:
         """Take in the next step."""
@@ -49,6 +52,8 @@ class RunStatistics:
         self.health[step.health] += 1
         for event in step.events:
             self.n_lost += event.kind == "lost"
+            if event.kind == "laser blind":
+                self.blind.append((event.scan, event.data["cause"]))
             if event.kind == "contradiction":
                 self.n_contradictions += 1
                 if self.first_contradiction is None:

@@ -63,8 +63,36 @@ def diagnose(
         may_contradict = report.has_odometry and "odometry never moves" not in kinds
         found += _of_matches(statistics, may_contradict=may_contradict)
         found += statistics.turns.findings()
+    found += _of_blindness(statistics.blind)
     found += _of_warnings(log_warnings, {finding.kind for finding in found})
     return worst_first(found)
+
+
+def _of_blindness(blind: Sequence[tuple[int, str]]) -> list[Finding]:
+    """Where the laser told nothing."""
+    found: list[Finding] = []
+    for cause, what, remedy in (
+        (
+            "repeated",
+            "the laser gave the same scan again while the robot moved",
+            "look at its driver and its cable",
+        ),
+        ("covered", "something covered the laser", "look at what was before it"),
+    ):
+        scans = [scan for scan, told in blind if told == cause]
+        if scans:
+            found.append(
+                Finding(
+                    kind="laser blind",
+                    severity="warning",
+                    cause=(
+                        f"{what} ({n_times(len(scans))}, first at scan {scans[0]}): the odometry alone tells of the way"
+                    ),
+                    remedy=remedy,
+                    data={"cause": cause, "n_times": len(scans), "first": scans[0]},
+                )
+            )
+    return found
 
 
 def _of_matches(statistics: RunStatistics, *, may_contradict: bool) -> list[Finding]:

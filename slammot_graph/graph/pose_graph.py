@@ -14,6 +14,7 @@ from typing import TypeVar
 import gtsam
 import numpy as np
 
+from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Positive
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.linalg import eigh3, is_covariance
@@ -23,6 +24,8 @@ from slammot_graph.core.types import FloatArray
 T = TypeVar("T")
 
 STACK_BYTES = 256 << 20
+
+_N_STEPS_ANEW = 10  # of Gauss and Newton, from poses that may have been shifted by what is taken back
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +51,14 @@ class PoseGraph:
     Attributes
     ----------
     edges : list of GraphEdge
+    dropped : list of (GraphEdge, str)
+        Edges that could not be taken in, and why; whoever tells of them empties it.
     """
 
     def __init__(self, config: PoseGraphConfig) -> None:
         self.config = config
         self.edges: list[GraphEdge] = []
+        self.dropped: list[tuple[GraphEdge, str]] = []
         self._n_nodes = 0
         self._waiting: list[GraphEdge] = []
         self._factor_of: dict[int, int] = {}
@@ -74,8 +80,16 @@ class PoseGraph:
         return 0
 
     def add_node(self, T_map_base: FloatArray) -> int:
-        """Add a node with a first guess of its pose (3,); it needs an edge before the next `update` or question."""
+        """Add a node with a first guess of its pose (3,); it needs an edge before the next `update` or question.
+
+        Raises
+        ------
+        SlammotError
+            The guess is not finite.
+        """
         node = self._n_nodes
+        if not np.isfinite(T_map_base).all():
+            raise SlammotError(f"the pose of node {node} is not finite")
         self._snapshot = None
         self._new_values.insert(node, _pose(T_map_base))
         self._n_nodes += 1
@@ -106,8 +120,24 @@ class PoseGraph:
         self.edges.append(edge)
         return edge
 
+    def try_edge(
+        self, kind: EdgeKind, from_node: int, to_node: int, T_from_to: FloatArray, information: FloatArray
+    ) -> GraphEdge | None:
+        """Add a relative pose as `add_edge` does; one that must not enter is noted in `dropped`, and None given."""
+        try:
+            return self.add_edge(kind, from_node, to_node, T_from_to, information)
+        except SlammotError as error:
+            edge = GraphEdge(
+                kind=kind, from_node=from_node, to_node=to_node, T_from_to=T_from_to, information=information
+            )
+            self.dropped.append((edge, str(error)))
+            return None
+
     def update(self) -> None:
         """Bring what was added into the smoother; every question below does so first.
+
+        Where the smoother fails on it, it goes on without the new closures, or else without the new matches too: these
+        are noted in `dropped`.
 
         Raises
         ------
@@ -117,14 +147,64 @@ class PoseGraph:
         if self._new_factors.size() == 0 and self._new_values.size() == 0:
             return
         self._poses = None
+        values = self._new_values
+        try:
+            result = self._take_in_new()
+        except SlammotError as error:
+            self._roll_back(values, error)
+            return
+        self._number_factors(result)
+
+    def _take_in_new(self) -> gtsam.ISAM2Result:
         factors, values = self._new_factors, self._new_values
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        result = self._in_thread(lambda: self._isam.update(factors, values))
+        return self._in_thread(lambda: self._isam.update(factors, values))
+
+    def _number_factors(self, result: gtsam.ISAM2Result) -> None:
         indices = list(result.getNewFactorsIndices())
         for edge, index in zip(self._waiting, indices[len(indices) - len(self._waiting) :], strict=True):
             if edge.kind == "closure":
                 self._factor_of[id(edge)] = int(index)
         self._waiting = []
+
+    def _roll_back(self, new: gtsam.Values, error: SlammotError) -> None:
+        """Solve the graph anew without what the smoother has just failed on."""
+        poses = self._poses_after_failure(new)
+        waiting, edges = self._waiting, self.edges
+        for kinds in (("closure",), ("closure", "match")):
+            gone = {id(edge): edge for edge in waiting if edge.kind in kinds}
+            if not gone:
+                continue
+            self.edges = [edge for edge in edges if id(edge) not in gone]
+            try:
+                self._begin_anew(poses)
+                self._number_factors(self._take_in_new())
+                for _ in range(_N_STEPS_ANEW):
+                    self._in_thread(self._isam.update)
+            except SlammotError:
+                continue
+            self.dropped += [(edge, str(error)) for edge in gone.values()]
+            return
+        self.edges = edges
+        raise error
+
+    def _poses_after_failure(self, new: gtsam.Values) -> FloatArray:
+        """(n, 3) poses to begin with again: what the smoother still knows, first guesses, or along the odometry."""
+        poses = np.zeros((self._n_nodes, 3))
+        is_known = np.zeros(self._n_nodes, dtype=np.bool_)
+        try:
+            known = self._in_thread(self._isam.calculateEstimate)
+        except SlammotError:
+            known = gtsam.Values()
+        for node in range(self._n_nodes):
+            values = known if known.exists(node) else new
+            if values.exists(node):
+                poses[node] = _plain(values.atPose2(node))
+                is_known[node] = np.isfinite(poses[node]).all()
+        for edge in self.edges:
+            if edge.kind == "odometry" and not is_known[edge.to_node]:
+                poses[edge.to_node] = se2.compose(poses[edge.from_node], edge.T_from_to)
+        return poses
 
     def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
         """Take edges of kind "closure" out again, which turned out wrong."""
@@ -133,7 +213,8 @@ class PoseGraph:
 
         def remove() -> None:
             parameters = gtsam.ISAM2UpdateParams()
-            parameters.removeFactorIndices = [self._factor_of.pop(id(edge)) for edge in edges]
+            known = [id(edge) for edge in edges if id(edge) in self._factor_of]
+            parameters.removeFactorIndices = [self._factor_of.pop(one) for one in known]
             self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), parameters)
             for _ in range(2):
                 self._isam.update()
@@ -147,8 +228,15 @@ class PoseGraph:
 
         Edges that wait for the next `update` come in as well.
         """
+        self._begin_anew(poses)
+        self.update()
+        self._in_thread(self._isam.update)
+        self._poses = None
+
+    def _begin_anew(self, poses: FloatArray) -> None:
+        """Let the prior, nodes at these poses and all edges wait for a new smoother."""
         self._isam = _smoother(self.config)
-        self._snapshot = None
+        self._snapshot = self._poses = None
         self._factor_of, self._waiting = {}, []
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._add_prior(poses[0])
@@ -156,9 +244,6 @@ class PoseGraph:
             self._new_values.insert(node, _pose(pose))
         for edge in self.edges:
             self._add_factor(edge)
-        self.update()
-        self._in_thread(self._isam.update)
-        self._poses = None
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
@@ -189,7 +274,7 @@ class PoseGraph:
         if self._snapshot is None:
             other = copy(self)
             other._isam = self._in_thread(lambda: gtsam.ISAM2(self._isam))
-            other.edges, other._waiting = list(self.edges), list(self._waiting)
+            other.edges, other._waiting, other.dropped = list(self.edges), list(self._waiting), []
             other._factor_of = dict(self._factor_of)
             other.update()
             self._snapshot = other

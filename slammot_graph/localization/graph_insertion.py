@@ -44,6 +44,8 @@ class GraphInsertion:
         self.node_scans: list[int] = []
         self.n_times_lost = 0
         self._n_submaps = 0
+        self._was_blind = False
+        self._lost_cov = config.lost_cov
         self._submap_config = config.closure.submap
 
     def anchor(self, T_local_base: FloatArray) -> tuple[int, FloatArray]:
@@ -99,10 +101,17 @@ class GraphInsertion:
             T_map_node = se2.compose(keyframes.T_map_local, T_local_base)
             node = self.graph.add_node(T_map_node)
             T_last_node = keyframes.since_node(T_odom_base)
-            self.graph.add_edge("odometry", last, node, T_last_node, invert(keyframes.cov_since_node))
+            information = invert(keyframes.cov_since_node)
+            if self.graph.try_edge("odometry", last, node, T_last_node, information) is None:
+                # a node needs an edge: by the matches, as weak as what is known of a lost robot
+                T_by_matches = se2.between(self.graph.pose(last), T_map_node)
+                self.graph.add_edge("odometry", last, node, T_by_matches, invert(self._lost_cov))
+            if self._was_blind and self.closer is not None:
+                self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
+            self._was_blind = False
             if match is not None and match.status != "failed" and self.local_map.keyframes:
                 anchor = self.local_map.anchor.node
-                self.graph.add_edge("match", anchor, node, match.T_ref_base, match.graph_information)
+                self.graph.try_edge("match", anchor, node, match.T_ref_base, match.graph_information)
         keyframes.start_node(T_odom_base, T_local_base, T_map_node)
         self.node_scans.append(scan)
         return node
@@ -146,15 +155,17 @@ class GraphInsertion:
             state = state._replace(cov_independent=covs[-1])
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
 
-    def start_component(self, path_m: float) -> None:
+    def start_component(self, path_m: float, *, is_known: bool = False) -> None:
         """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.
 
-        What the local map held so far goes to the loop closing.
+        What the local map held so far goes to the loop closing. Where the motion between is known (`is_known`), it is
+        no component of its own: its loops are looked for as far as the odometry's covariance reaches.
         """
         self.cov_anchor = self.graph.marginal(len(self.graph) - 1)
         if self.closer is not None and len(self.local_map.keyframes) > 1:
             self.closer.submaps.append(self._submap(tuple(self.local_map.keyframes), path_m))
-        self.n_times_lost += 1
+        self.n_times_lost += not is_known
+        self._was_blind = is_known
         self.local_map.start([])
 
     def _submap(self, keyframes: tuple[Keyframe, ...], path_m: float) -> Submap:

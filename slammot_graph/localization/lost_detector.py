@@ -14,7 +14,7 @@ from slammot_graph.core.types import FloatArray
 class Loss:
     """Why the robot is taken for lost, and after how many scans."""
 
-    cause: Literal["failed matches", "kidnapped"]
+    cause: Literal["failed matches", "kidnapped", "blind drive"]
     n_scans: int
 
 
@@ -41,7 +41,13 @@ class LostDetector:
         self._T_odom_seen: FloatArray = se2.IDENTITY
 
     def update(
-        self, match: MatchResult | None, T_odom_base: FloatArray, *, has_points: bool, has_local_map: bool
+        self,
+        match: MatchResult | None,
+        T_odom_base: FloatArray,
+        *,
+        has_points: bool,
+        has_local_map: bool,
+        has_odometry: bool = False,
     ) -> Loss | None:
         """Take in the next scan; tells if the robot is lost now.
 
@@ -54,6 +60,8 @@ class LostDetector:
             Enough for a match.
         has_local_map : bool
             There was something to match onto.
+        has_odometry : bool
+            The dead-reckoned pose comes from wheels, which tell of the way also where nothing is seen.
         """
         has_failed = match is not None and match.status == "failed"
         if match is not None and has_failed:
@@ -62,7 +70,8 @@ class LostDetector:
             self.n_failed = 0
         loss = None
         if has_points and has_local_map and self._may_be_kidnapped(T_odom_base, has_failed):
-            loss = Loss(cause="kidnapped", n_scans=self.n_blind)
+            is_blind_drive = has_odometry and self._distance_m(T_odom_base) >= self.kidnapped_distance_m
+            loss = Loss(cause="blind drive" if is_blind_drive else "kidnapped", n_scans=self.n_blind)
         elif self.n_failed >= self.n_lost:
             loss = Loss(cause="failed matches", n_scans=self.n_lost)
         if loss is not None:
@@ -80,5 +89,8 @@ class LostDetector:
         """
         if self.n_blind < self.n_lost:
             return False
-        distance_m = float(np.hypot(*se2.between(self._T_odom_seen, T_odom_base)[:2]))
-        return distance_m < self.kidnapped_distance_m or has_failed
+        return self._distance_m(T_odom_base) < self.kidnapped_distance_m or has_failed
+
+    def _distance_m(self, T_odom_base: FloatArray) -> float:
+        """How far from where something was seen for the last time."""
+        return float(np.hypot(*se2.between(self._T_odom_seen, T_odom_base)[:2]))

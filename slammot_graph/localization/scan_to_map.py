@@ -126,8 +126,11 @@ class ScanToMap:
         is_lost = any(event.kind == "lost" for event in events)
         if is_lost:
             self._sweep_end = None
-            propagation.lose_track(self.config.lost_cov, self.config.lost_distance_m)
-            insertion.start_component(propagation.path_m)
+            # the wheels tell where a robot has driven that saw nothing, and how well
+            is_known = any(event.data.get("cause") == "blind drive" for event in events)
+            lost_cov, lost_m = self.config.lost_cov, self.config.lost_distance_m
+            propagation.lose_track(*((0.0 * lost_cov, 0.0) if is_known else (lost_cov, lost_m)))
+            insertion.start_component(propagation.path_m, is_known=is_known)
         state, T_odom_base = propagation.state, propagation.T_odom_base
         node, closures = None, tuple[ClosureAttempt, ...]()
         wants = self.local_map.wants(state.T_local_base, scan.laser.number)
@@ -146,8 +149,27 @@ class ScanToMap:
             is_keyframe=is_keyframe,
             is_lost=is_lost,
             closures=closures,
-            events=(*events, *(attempt.event(scan.index) for attempt in closures)),
+            events=(
+                *events,
+                *(attempt.event(scan.index) for attempt in closures),
+                *self._dropped(scan.index),
+            ),
         )
+
+    def _dropped(self, scan: int) -> list[Event]:
+        """Tell of what the graph could not take in."""
+        dropped, self.graph.dropped = self.graph.dropped, []
+        return [
+            make_event(
+                "factor dropped",
+                scan,
+                factor=edge.kind,
+                from_node=edge.from_node,
+                to_node=edge.to_node,
+                reason=reason,
+            )
+            for edge, reason in dropped
+        ]
 
     def odometry_report(self) -> OdometryReport:
         """See `Localizer`."""
@@ -234,6 +256,7 @@ class ScanToMap:
             self.propagation.T_odom_base,
             has_points=has_points,
             has_local_map=bool(self.local_map.keyframes),
+            has_odometry=scan.T_odom_base is not None,
         )
         if loss is not None:
             events.append(make_event("lost", scan.index, cause=loss.cause, n_scans=loss.n_scans))

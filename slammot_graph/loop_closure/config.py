@@ -51,6 +51,8 @@ class LoopClosureConfig(Checked):
     drift_scale : float
         Factor on the standard deviations of the graph's relative pose: matches of neighbouring scans share
         errors (the same wall, the same beams), which the graph takes for independent.
+    blind_scale : float
+        The same factor for a drive with nothing in sight, of which the odometry alone tells.
     sigma_scale : float
         The search covers this many standard deviations of their relative pose ...
     min_search_m, max_search_m, min_search_rad, max_search_rad : float
@@ -102,6 +104,7 @@ class LoopClosureConfig(Checked):
     min_path_m: Positive = 8.0
     max_distance_m: Positive = 12.0
     drift_scale: Positive = 5.0
+    blind_scale: Positive = 1.5
     sigma_scale: Positive = 6.0
     min_search_m: Positive = 0.5
     max_search_m: Positive = 8.0

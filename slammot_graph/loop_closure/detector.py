@@ -24,6 +24,7 @@ class _Candidate(NamedTuple):
     T_target_source: FloatArray
     cov: FloatArray
     window: SearchWindow
+    is_strict: bool
 
 
 class LoopCloser:
@@ -42,6 +43,8 @@ class LoopCloser:
         Those that wait for others to confirm them.
     is_known : bool
         The latest local map shows a known place.
+    blind_drives : list of (int, (3, 3) array)
+        Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     """
 
     def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig, graph: PoseGraph) -> None:
@@ -53,23 +56,28 @@ class LoopCloser:
         self.accepted: list[tuple[Closure, GraphEdge]] = []
         self.pending: list[Closure] = []
         self.is_known = False
+        self.blind_drives: list[tuple[int, FloatArray]] = []
 
     def consider(self, submap: Submap) -> tuple[ClosureAttempt, ...]:
         """Take in a finished local map; returns what was tried."""
         attempts: list[ClosureAttempt] = []
         verified = []
         for candidate in self._candidates(submap, self.graph.poses()):
-            target, T_predicted, cov, window = candidate
+            target, T_predicted, cov, window, is_strict = candidate
             found = self.verifier.verify(target, submap, T_predicted, window)
             if isinstance(found, str):
                 attempts.append(make_attempt(target.place, submap.place, "refused", found, T_predicted))
             else:
-                verified.append((found, T_predicted, cov))
+                verified.append((found, T_predicted, cov, is_strict))
         self.submaps.append(submap)
         self.is_known = changed = False
-        for closure, T_predicted, cov in verified:
+        for closure, T_predicted, cov, is_strict in verified:
             is_apart = self.relocalization.is_apart(closure.target, closure.source)
-            attempt = self.relocalize(closure) if is_apart else self.decide(closure, T_predicted, cov)
+            attempt = (
+                self.relocalize(closure)
+                if is_apart
+                else self.decide(closure, T_predicted, cov, is_strict=is_strict)
+            )
             attempts.append(attempt)
             if attempt.status == "accepted":
                 changed = True
@@ -77,18 +85,25 @@ class LoopCloser:
         if self.is_known:
             self.submaps.remove(submap)
         if changed:
+            dropped = {id(edge) for edge, _ in self.graph.dropped}
+            self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
         return tuple(attempts)
 
-    def decide(self, closure: Closure, T_predicted: FloatArray, cov: FloatArray) -> ClosureAttempt:
-        """Accept a verified closure now, keep it until another one confirms it, or refuse it."""
+    def decide(
+        self, closure: Closure, T_predicted: FloatArray, cov: FloatArray, *, is_strict: bool = False
+    ) -> ClosureAttempt:
+        """Accept a verified closure now, keep it until another one confirms it, or refuse it.
+
+        A strict one is refused beyond the gate: rooms that look the same confirm each other.
+        """
         offset = se2.log(se2.between(closure.T_target_source, T_predicted))
         distance2 = mahalanobis2(offset, cov + closure.cov)
         how_far = f"squared Mahalanobis distance {distance2:.0f}"
         if distance2 <= self.config.gate:
             self._accept([closure])
             return closure.attempt("accepted", "")
-        if distance2 > self.config.gate * self.config.gate_scale**2:
+        if is_strict or distance2 > self.config.gate * self.config.gate_scale**2:
             return closure.attempt("refused", f"improbable, {how_far}")
         consistent = [other for other in self.pending if self._is_consistent(closure, other)]
         if consistent:
@@ -157,13 +172,38 @@ class LoopCloser:
                 break
             if any(abs(old[k].number - other.target.number) < spacing for other in found):
                 continue
-            cov = config.drift_scale**2 * self.graph.relative_covariance(old[k].anchor, source.anchor)
+            cov, is_strict = self._drift(old[k], source, nodes)
             is_apart = self.relocalization.is_apart(old[k], source)
             window = search_window(config, cov, is_apart=is_apart)
             if distance_m[k] > window.reach_m + config.candidate_margin_m and not is_apart:
                 break
-            found.append(_Candidate(old[k], se2.between(T_map_old[k], T_map_source), cov, window))
+            T_predicted = se2.between(T_map_old[k], T_map_source)
+            found.append(_Candidate(old[k], T_predicted, cov, window, is_strict))
         return found
+
+    def _drift(self, old: Submap, source: Submap, nodes: FloatArray) -> tuple[FloatArray, bool]:
+        """Covariance (3, 3) of how two local maps lie to each other, and whether most of it is of blind drives.
+
+        What matches tell of each other's errors is not known, and is scaled; what the odometry says alone is not.
+        """
+        config = self.config
+        cov = self.graph.relative_covariance(old.anchor, source.anchor)
+        if not self.blind_drives:
+            return config.drift_scale**2 * cov, False
+        blind = np.zeros((3, 3))
+        for node, cov_node in self.blind_drives:
+            if old.anchor < node <= source.anchor:
+                T_source_node = se2.between(nodes[source.anchor], nodes[node])
+                ad = se2.adjoint(T_source_node)
+                blind += ad @ cov_node @ ad.T
+        is_blind = bool(np.trace(blind[:2, :2]) > 0.5 * np.trace(cov[:2, :2]) > 0.0)
+        if not is_blind or np.trace(cov[:2, :2]) < 0.5 * np.trace(
+            blind[:2, :2]
+        ):  # or joined by another closure
+            return config.drift_scale**2 * cov, False
+        values, vectors = np.linalg.eigh(cov - blind)
+        rest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return config.drift_scale**2 * rest + config.blind_scale**2 * blind, True
 
     def _is_consistent(self, a: Closure, b: Closure) -> bool:
         """Tell whether two closures of different local maps say the same about the motion between."""
@@ -188,14 +228,15 @@ class LoopCloser:
 
     def _add_edges(self, closures: list[Closure]) -> None:
         for closure in closures:
-            edge = self.graph.add_edge(
+            edge = self.graph.try_edge(
                 "closure",
                 closure.target.anchor,
                 closure.source.anchor,
                 closure.T_target_source,
                 closure.information,
             )
-            self.accepted.append((closure, edge))
+            if edge is not None:
+                self.accepted.append((closure, edge))
 
     def _residuals2(self) -> FloatArray:
         """(k,) squared residuals of the accepted closures, each in its own covariance."""

@@ -2,10 +2,13 @@
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.run_folder.atomic import temporary_path, write_errors
+from slammot_graph.run_folder.lock import LOCK_FILE, folder_lock
 
 RUN_FILES = (
     "trajectory.tum",
@@ -22,7 +25,26 @@ RUN_FILES = (
 )
 """All that a run folder may hold; without a graph there is no ``graph.g2o``, without a recording no ``run.rrd``."""
 
-_FIRST_FILES = ("run.rrd", "trajectory.tum")  # an interrupted run leaves at least one of them
+_FIRST_FILES = (
+    "run.rrd",
+    "trajectory.tum",
+)  # an interrupted run leaves one of them, or a file under its temporary name
+
+
+@contextmanager
+def claimed_output(output: str | Path, *, overwrite: bool) -> Iterator[None]:
+    """Make an empty run folder as `prepare_output` does, which no other run may write into meanwhile.
+
+    Raises
+    ------
+    InputError
+        As of `prepare_output`; or another run writes into it.
+    """
+    output = Path(output)
+    _check_output(output, overwrite=overwrite)
+    with folder_lock(output):
+        prepare_output(output, overwrite=overwrite)
+        yield
 
 
 def prepare_output(output: str | Path, *, overwrite: bool) -> None:
@@ -41,11 +63,20 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
         written.
     """
     output = Path(output)
+    _check_output(output, overwrite=overwrite)
+    with write_errors(output, "remove it yourself, or name another --output"):
+        for name in RUN_FILES:
+            (output / name).unlink(missing_ok=True)
+            temporary_path(output / name).unlink(missing_ok=True)
+
+
+def _check_output(output: Path, *, overwrite: bool) -> None:
+    """Make a folder where there is none, and refuse one that must not be written into."""
     if output.exists() and not output.is_dir():
         raise InputError(f"{output}: is a file, not a folder; name another --output")
     with write_errors(output, "name another --output"):
         output.mkdir(parents=True, exist_ok=True)
-        names = sorted(path.name for path in output.iterdir())
+        names = sorted(path.name for path in output.iterdir() if path.name != LOCK_FILE)
     if names and not _is_run_folder(output, names):
         raise InputError(
             f"{output}: holds {names[0]!r} and is no run folder; name a new or an empty folder as --output"
@@ -55,10 +86,6 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
             f"{output}: holds a run already; pass --overwrite (overwrite=True) to replace it,"
             " or name another --output"
         )
-    with write_errors(output, "remove it yourself, or name another --output"):
-        for name in RUN_FILES:
-            (output / name).unlink(missing_ok=True)
-            temporary_path(output / name).unlink(missing_ok=True)
     if not os.access(output, os.W_OK | os.X_OK):
         raise InputError(f"{output}: cannot be written (Permission denied); name another --output")
 
@@ -68,6 +95,8 @@ def _is_run_folder(output: Path, names: list[str]) -> bool:
     try:
         summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        ours = {*RUN_FILES, *(temporary_path(output / name).name for name in RUN_FILES)}
-        return ours.issuperset(names) and any(name in names for name in _FIRST_FILES)
+        begun = {temporary_path(output / name).name for name in RUN_FILES}
+        return begun.union(RUN_FILES).issuperset(names) and bool(
+            begun.union(_FIRST_FILES).intersection(names)
+        )
     return isinstance(summary, dict) and {"method", "n_scans"} <= summary.keys()

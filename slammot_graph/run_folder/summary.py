@@ -49,6 +49,7 @@ def summarize_run(result: RunResult) -> dict[str, Any]:
         "config": result.config,
         "versions": _versions(),
         "is_complete": result.is_complete,
+        "failures": result.failures,
         "n_scans": len(result.stamps),
         "n_scans_of_log": log.n_scans,
         "n_skipped": result.n_skipped,

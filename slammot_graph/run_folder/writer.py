@@ -1,5 +1,6 @@
-"""Write a run folder, each file atomically."""
+"""Write a run folder, each file atomically; one that cannot be written does not keep the others from it."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from slammot_graph.core.results import RunResult
@@ -14,7 +15,7 @@ from slammot_graph.run_folder.tum import write_trajectory
 
 
 def write_run_folder(output: str | Path, result: RunResult) -> None:
-    """Write all files of a run but the recording and the picture.
+    """Write all files of a run but the recording and the picture: what is small and dear first, the map last.
 
     A method without a pose graph leaves no ``graph.g2o``.
 
@@ -27,20 +28,38 @@ def write_run_folder(output: str | Path, result: RunResult) -> None:
     Raises
     ------
     InputError
-        A file cannot be written; the text names it.
+        A file cannot be written; the text names it. All others were tried before.
     """
     output = Path(output)
     with write_errors(output, "name another --output"):
         output.mkdir(parents=True, exist_ok=True)
-    write_trajectory(output / "trajectory.tum", result.stamps, result.T_map_base)
-    write_points(output / "points.npz", result)
-    write_tracks(output / "tracks.csv", result)
-    write_tracks_online(output / "tracks_online.csv", result)
-    write_map(output / "map.pgm", output / "map.yaml", result.grid)
-    if len(result.nodes):
-        write_graph(output / "graph.g2o", result.nodes, result.edges)
-    else:
-        with write_errors(output / "graph.g2o", "remove it yourself, or name another --output"):
-            (output / "graph.g2o").unlink(missing_ok=True)
-    write_covariances(output / "covariances.npz", result)
-    write_summary(output / "summary.json", result)
+
+    def write_or_remove_graph() -> None:
+        if len(result.nodes):
+            write_graph(output / "graph.g2o", result.nodes, result.edges)
+        else:
+            with write_errors(output / "graph.g2o", "remove it yourself, or name another --output"):
+                (output / "graph.g2o").unlink(missing_ok=True)
+
+    write_each(
+        lambda: write_trajectory(output / "trajectory.tum", result.stamps, result.T_map_base),
+        lambda: write_summary(output / "summary.json", result),
+        lambda: write_points(output / "points.npz", result),
+        lambda: write_tracks(output / "tracks.csv", result),
+        lambda: write_tracks_online(output / "tracks_online.csv", result),
+        lambda: write_covariances(output / "covariances.npz", result),
+        write_or_remove_graph,
+        lambda: write_map(output / "map.pgm", output / "map.yaml", result.grid),
+    )
+
+
+def write_each(*writes: Callable[[], object]) -> None:
+    """Try all in their order, whatever becomes of some of them; then raise the first error."""
+    errors = []
+    for write in writes:
+        try:
+            write()
+        except Exception as error:  # what can be written must not be lost with it
+            errors.append(error)
+    if errors:
+        raise errors[0]

@@ -485,6 +485,6 @@ def test_a_run_whose_end_fails_is_written_and_says_why(
     code, _, err = run(capsys, "run", log, "--output", tmp_path / "out", "--rerun", "file")
     assert code == console.EXIT_USER_ERROR
     assert "warning: could not be computed: final labels: the disk is full" in err
-    assert f"stopped after {N_SCANS} scans; what was computed is in" in err
+    assert f"done with all {N_SCANS} scans; what was computed is in" in err
     assert len(read_run_folder(tmp_path / "out").stamps) == N_SCANS
     assert {path.name for path in (tmp_path / "out").iterdir()} == {*RUN_FILES, "run.rrd"}

@@ -25,6 +25,21 @@ CLOSURE: dict[str, str | int | float] = {"target_node": 12, "source_node": 340, 
             "error",
             "lost: 8 scans with nothing in sight, the robot may have been kidnapped, a new local map begins here",
         ),
+        (
+            make_event("lost", 3, cause="blind drive", n_scans=8),
+            "error",
+            "lost: drove for 8 scans with nothing in sight, a new local map begins where the odometry says",
+        ),
+        (
+            make_event("laser blind", 3, cause="covered"),
+            "warning",
+            "laser blind: something covers the laser; the odometry alone tells of the motion",
+        ),
+        (
+            make_event("factor dropped", 3, factor="match", from_node=3, to_node=7, reason="not finite"),
+            "warning",
+            "match factor 3-7 dropped, the pose graph goes on without it: not finite",
+        ),
         (make_event("closure refused", 3, **CLOSURE), "info", "closure 12-340 refused: no pose agrees"),
         (
             make_event("closure rejected", 3, **CLOSURE),

@@ -4,7 +4,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.detection import reasons, scan_history
@@ -64,15 +63,23 @@ def test_what_is_kept_comes_back_as_it_was(
     kept.close()
 
 
-def test_a_full_disk_is_told_in_one_line(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = ScanHistory()
-
-    def full(_: bytes) -> int:
+def test_no_scan_is_lost_with_the_temporary_file(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(**_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(kept._file, "write", full)
-    with pytest.raises(SlammotError, match=r"No space left on device.*TMPDIR"):
-        kept.append(**judged_scans(rng, 1)[0])
+    monkeypatch.setattr(scan_history, "MOST_IN_MEMORY", 2000)
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
+    kept, items = ScanHistory(), judged_scans(rng, 8)
+    for item in items:
+        kept.append(**item)
+    for item, back in zip(items, kept, strict=True):
+        np.testing.assert_array_equal(back.is_moving, item["is_moving"])
+    assert "No space left on device" in caplog.text
+    assert "TMPDIR" in caplog.text
+    assert len(caplog.records) < 8  # not at every scan
+    kept.close()
 
 
 def test_a_deskewed_scan_keeps_its_sweep(rng: np.random.Generator) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,10 +19,12 @@ from slammot_graph.run_folder.reader import read_run_folder
 from tests.logs.bag_files import odometry, scan, write_bag
 from tests.logs.carmen_text import flaser
 
+IS_LONG = os.environ.get("SLAMMOT_HYPOTHESIS") == "long"
+
 FEW = settings(
-    max_examples=60,
+    max_examples=settings.get_profile("long").max_examples if IS_LONG else 60,
     deadline=None,
-    derandomize=True,
+    derandomize=not IS_LONG,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 

@@ -1,5 +1,6 @@
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError, SlammotError
 from slammot_graph.core.linalg import is_covariance
+from slammot_graph.core.results import EdgeKind, GraphEdge
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
 from tests.rooms import errors
@@ -304,3 +306,52 @@ def test_a_snapshot_answers_as_the_graph_would_and_leaves_it_alone(rng: np.rando
         np.testing.assert_array_equal(graph.marginals(), marginals)
         assert len(graph.edges) == len(snapshot.edges)
         graph.close()
+
+
+@pytest.mark.parametrize("kind", ["closure", "match"])
+def test_what_the_smoother_fails_on_is_taken_back_and_noted(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, kind: EdgeKind
+) -> None:
+    """A smoother that throws at a certain edge, half of its work done, as an indeterminate system makes it."""
+
+    class Fails(gtsam.ISAM2):
+        def update(self, *arguments: Any) -> Any:
+            result: Any = super().update(*arguments)
+            if any(edge is bad for edge in graph._waiting):
+                raise RuntimeError("Indeterminant linear system detected while working near variable 7")
+            return result
+
+    config = PoseGraphConfig(relinearize_threshold=1e-4)
+    plain = PoseGraph(config)
+    fill(plain, np.random.default_rng(5))
+    bad: GraphEdge | None = None
+    monkeypatch.setattr(gtsam, "ISAM2", Fails)
+    graph = PoseGraph(config)
+    fill(graph, np.random.default_rng(5))
+    node = graph.add_node(se2.compose(graph.pose(24), np.array([0.5, 0.0, 0.0])))
+    graph.add_edge("odometry", 24, node, np.array([0.5, 0.0, 0.0]), random_information(rng))
+    bad = graph.add_edge(kind, 3, node, np.array([9.0, 9.0, 2.0]), random_information(rng))
+    graph.update()
+    assert [edge for edge, _ in graph.dropped] == [bad]
+    assert "near variable 7" in graph.dropped[0][1]
+    assert bad not in graph.edges
+    assert max(errors(graph.poses()[:25], plain.poses())) < 1e-3
+    np.testing.assert_allclose(graph.marginals()[:25], plain.marginals(), rtol=0.02, atol=3e-4)
+    # and it goes on from there
+    edge = graph.add_edge("closure", 3, 20, se2.between(*graph.poses()[[3, 20]]), 1e4 * np.eye(3))
+    graph.update()
+    graph.remove_edges([edge, bad])
+    assert len(graph.dropped) == 1
+    graph.close()
+    plain.close()
+
+
+def test_an_edge_that_must_not_enter_is_noted(graph: PoseGraph) -> None:
+    graph.start(np.zeros(3))
+    graph.add_node(np.array([1.0, 0.0, 0.0]))
+    assert graph.try_edge("match", 0, 1, np.zeros(3), np.diag([1.0, np.inf, 1.0])) is None
+    assert graph.try_edge("odometry", 0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3)) in graph.edges
+    assert [text for _, text in graph.dropped] == ["match edge 0-1 is not finite"]
+    with pytest.raises(SlammotError, match="the pose of node 2 is not finite"):
+        graph.add_node(np.array([np.nan, 0.0, 0.0]))
+    np.testing.assert_allclose(graph.poses(), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], atol=1e-9)

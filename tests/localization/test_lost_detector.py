@@ -89,3 +89,12 @@ def test_losses_follow_from_the_counts(outcomes: list[str]) -> None:
         n_failed = 0 if loss else n_failed
         n_blind = 0 if sees else n_blind + 1
         assert (detector.n_failed, detector.n_blind) == (n_failed, n_blind)
+
+
+def test_wheels_tell_of_a_drive_with_nothing_in_sight(detector: LostDetector) -> None:
+    update(detector, MATCH)
+    for _ in range(N_LOST + 1):
+        assert update(detector, FAILED, 5.0, sees=False) is None
+    place = HERE + np.array([5.0, 0.0, 0.0])
+    loss = detector.update(FAILED, place, has_points=True, has_local_map=True, has_odometry=True)
+    assert loss == Loss(cause="blind drive", n_scans=N_LOST + 1)

@@ -220,3 +220,13 @@ def test_points_that_are_cut_short_are_refused(folder: Path) -> None:
         read_points(folder / "points.npz")
     with pytest.raises(InputError, match="nothing"):
         read_points(folder / "nothing.npz")
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_a_file_that_cannot_be_written_keeps_no_other_from_it(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()  # in its way
+    (tmp_path / name / "x").touch()
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        write_run_folder(tmp_path, result())
+    without = {name, "map.yaml"} if name == "map.pgm" else {name}  # it tells of a picture that is there
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == FILES - without

@@ -3,6 +3,8 @@
 Everything in the map frame lies at z = 0 but for small offsets that order the layers.
 """
 
+import errno
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slammot_graph.core.errors import InputError
 from slammot_graph.core.results import GraphEdge, GridMap, RunResult, StepResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.observer import Observer, RunInfo, RunView, TestGrid
@@ -27,6 +30,10 @@ from slammot_graph.viz.rerun.tracks import TrackPanel
 
 SCANS_PER_SEND = 100
 SCANS_PER_SEND_LIVE = 10
+FIRST_BYTES = 1 << 16
+"""So many are written before anything else, to see whether that is possible."""
+RESERVE_BYTES, RESERVE_BYTES_PER_BEAM = 64 << 20, 10
+"""So much of the disk is left to the results: at all events, and for each beam of all scans."""
 
 
 class RerunRecording(Observer):
@@ -34,6 +41,9 @@ class RerunRecording(Observer):
 
     Steps are kept and sent as columns, many scans at a time. Maps, graphs and cells of the test are asked for only as
     long as they stay a small share of the recording.
+
+    Where it cannot go on, as on a disk that is nearly full, it ends and the run does not: `close` tells of it, after
+    the run. What the results need of the disk is left to them.
 
     Parameters
     ----------
@@ -45,7 +55,7 @@ class RerunRecording(Observer):
     Raises
     ------
     InputError
-        From any hook: the file cannot be written or no viewer can be opened.
+        From `on_start`: the file cannot be made or no viewer can be opened. From `close`: it ended before the run.
     """
 
     def __init__(self, *, path: Path | None = None, spawn: bool = False) -> None:
@@ -58,12 +68,20 @@ class RerunRecording(Observer):
         self._steps: list[StepResult] = []
         self._last_step: StepResult | None = None
         self._n_scans = 0
+        self._n_expected = 0
+        self._failure: InputError | None = None
 
     # ------------------------------------------------------------------------------------------------ hooks
 
     def on_start(self, info: RunInfo) -> None:
         """Open the recording; a run that is started again is recorded anew."""
         self._steps, self._last_step, self._n_scans = [], None, 0
+        self._n_expected, self._failure = info.n_scans or 0, None
+        with self._ending_alone():
+            self._check_space(0)
+            self._try_to_write()
+        if self._failure is not None:
+            return
         self._sink = Sink(f"slammot_graph {info.method}", path=self._path, spawn=self._spawn)
         self._panels = _Panels.on(Columns(self._sink.rec))
         with self._sink.errors():
@@ -74,25 +92,35 @@ class RerunRecording(Observer):
 
     def on_step(self, step: StepResult, view: RunView) -> None:
         """Keep a step, and the cells and the graph where they are due."""
-        self.log_step(step, view.test_grid(CELLS_HALF_SIDE_M) if self.wants_cells() else None)
-        if self.wants_graph():
-            self.log_graph(view.nodes(), view.edges())
+        with self._ending_alone() as goes_on:
+            if goes_on:
+                self.log_step(step, view.test_grid(CELLS_HALF_SIDE_M) if self.wants_cells() else None)
+                if self.wants_graph():
+                    self.log_graph(view.nodes(), view.edges())
 
     def on_closure(self, step: StepResult, view: RunView) -> None:
         """Log what a closure did to the nodes, where the graph has not just been logged."""
-        if self.wants_nodes():
-            self.log_nodes(view.nodes())
+        with self._ending_alone() as goes_on:
+            if goes_on and self.wants_nodes():
+                self.log_nodes(view.nodes())
 
     def wants_map(self) -> bool:
         """Tell whether a map is due now."""
-        return self._opened.map.wants(self._n_scans)
+        return self._failure is None and self._opened.map.wants(self._n_scans)
 
     def on_map(self, step: StepResult, grid: GridMap) -> None:
         """Log the map as it is after the last step."""
-        self.log_map(grid)
+        with self._ending_alone() as goes_on:
+            if goes_on:
+                self.log_map(grid)
 
     def on_finish(self, result: RunResult) -> None:
         """Log the final trajectory, map, graph and figures, and a layout that fits the final map."""
+        with self._ending_alone() as goes_on:
+            if goes_on:
+                self._log_result(result)
+
+    def _log_result(self, result: RunResult) -> None:
         import rerun as rr
 
         self._send_steps()
@@ -110,14 +138,62 @@ class RerunRecording(Observer):
 
     def close(self) -> None:
         """Send what is still kept, wait until it is written, and close; may be called twice."""
-        if self._sink is None:
+        if self._sink is not None:
+            with self._ending_alone() as goes_on:
+                if goes_on:
+                    self._send_steps()
+                    self._sink.flush()
+            self._disconnect()
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    @contextmanager
+    def _ending_alone(self) -> Iterator[bool]:
+        """Give whether the recording still goes on; where it cannot, the run does."""
+        try:
+            yield self._failure is None
+        except (
+            Exception
+        ) as error:  # whatever it is: nobody looks at a recording of a run that was lost with it
+            n = self._n_scans
+            self._failure = InputError(
+                f"the recording ends after {n} scans, all else is as without it: {error}"
+            )
+            self._failure.__cause__ = error
+            self._steps = []
+            self._disconnect()
+
+    def _disconnect(self) -> None:
+        if self._sink is not None:
+            self._sink.rec.disconnect()
+        self._sink = self._panels = None
+
+    def _try_to_write(self) -> None:
+        """Refuse to begin where the file cannot grow: rerun waits for ever for its first bytes to be written."""
+        if self._path is None or not self._path.parent.is_dir():
             return
         try:
-            self._send_steps()
-            self._sink.flush()
-        finally:
-            self._sink.rec.disconnect()
-            self._sink = self._panels = None
+            self._path.write_bytes(bytes(FIRST_BYTES))
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                raise
+            self._path.unlink(missing_ok=True)
+            raise InputError(
+                f"{self._path}: {error.strerror}; free some space or pass --rerun off"
+            ) from error
+
+    def _check_space(self, n_beams: int) -> None:
+        """Refuse to write where the results would not find the space that they need."""
+        if self._path is None:
+            return
+        needed = RESERVE_BYTES + RESERVE_BYTES_PER_BEAM * n_beams * max(self._n_expected, self._n_scans)
+        free = shutil.disk_usage(self._path.parent).free if self._path.parent.exists() else needed
+        if free < needed:
+            raise InputError(
+                f"{self._path}: {free >> 20} MB are free, which the results may need ({needed >> 20} MB); free some"
+                " space, choose another folder or pass --rerun off"
+            )
 
     # ---------------------------------------------------------------------------------------- what is logged
 
@@ -137,6 +213,7 @@ class RerunRecording(Observer):
         """Keep one step, and the test's grid around the robot as it left it; a batch of them is sent at a time."""
         panels = self._opened
         if self._last_step is None:
+            self._check_space(len(step.is_valid))
             panels.scans.start(step)
             frame = Frame(step.T_map_base[:2], 15.0, 15.0)
             with self._now():
@@ -188,6 +265,7 @@ class RerunRecording(Observer):
         if not self._steps:
             return
         steps, self._steps = self._steps, []
+        self._check_space(len(steps[-1].is_valid))
         with self._now():
             self._opened.send(steps)
 

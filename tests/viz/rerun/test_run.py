@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -185,3 +186,46 @@ def test_recording_does_not_change_the_estimate(tmp_path: Path) -> None:
     recorded = Run(ring_log(3), observers=[RerunRecording(path=tmp_path / "run.rrd")]).complete()
     assert sum(edge.kind == "closure" for edge in plain.edges) >= 5
     assert_same_results(recorded, plain)
+
+
+class FullDisk:
+    """What `shutil.disk_usage` says, from the k-th question on, of a disk that is nearly full."""
+
+    def __init__(self, k: int) -> None:
+        self.n_left = k
+
+    def __call__(self, _: Path) -> SimpleNamespace:
+        self.n_left -= 1
+        return SimpleNamespace(free=1 << 40 if self.n_left >= 0 else 20 << 20)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2, 3])
+def test_a_full_disk_ends_the_recording_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, k: int
+) -> None:
+    monkeypatch.setattr("slammot_graph.viz.rerun.run.SCANS_PER_SEND", 10)
+    monkeypatch.setattr("shutil.disk_usage", FullDisk(k))
+    plain, run = Run(drive(30)), Run(drive(30), observers=[RerunRecording(path=tmp_path / "run.rrd")])
+    steps = []
+    with pytest.raises(InputError, match=r"the recording ends after \d+ scans.*20 MB are free") as caught:
+        for step in run:
+            steps.append(step)  # noqa: PERF402 - the error comes after the last
+    assert "--rerun off" in str(caught.value)
+    assert len(steps) == 30
+    assert run.is_complete
+    assert run.result().is_complete
+    assert_same_results(run.result(), plain.complete())
+    assert (tmp_path / "run.rrd").exists() == (k > 0)
+
+
+def test_an_error_of_a_recording_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("out of colours")
+
+    monkeypatch.setattr(RerunRecording, "log_map", fail)
+    recording = RerunRecording(path=tmp_path / "run.rrd")
+    run = Run(drive(10), observers=[recording])
+    with pytest.raises(InputError, match="out of colours"):
+        run.complete()
+    assert len(run.result().stamps) == 10
+    recording.close()

@@ -1,0 +1,89 @@
+"""Scans that tell nothing of where the robot is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slammot_graph.core.scan import Scan
+from slammot_graph.localization.blind_scans import Blindness, BlindScans
+from tests.rooms import take_scan
+
+
+def scan_at(k: int, x_m: float, *, noise_m: float = 0.01, theta: float = 0.0) -> Scan:
+    """Scan k of ten a second, from x_m along a room."""
+    scan = take_scan(np.array([x_m, 0.0, theta]))
+    noise = np.random.default_rng(k).normal(0.0, noise_m, len(scan.ranges))
+    odometry = np.array([x_m, 0.0, theta])
+    return replace(scan, index=k, stamp=0.1 * k, ranges=scan.ranges + noise, T_odom_base=odometry)
+
+
+def judged(scans: list[Scan]) -> list[Blindness | None]:
+    blind = BlindScans()
+    return [blind.look_at(scan) for scan in scans]
+
+
+def test_a_drive_is_not_blind() -> None:
+    assert set(judged([scan_at(k, 0.1 * k, theta=0.15 * k) for k in range(30)])) == {None}
+
+
+def test_a_robot_that_stands_may_see_the_same_again() -> None:
+    assert set(judged([scan_at(0, 1.0)] * 20)) == {None}
+
+
+def test_the_same_scan_again_while_the_odometry_moves_is_no_measurement() -> None:
+    frozen = scan_at(4, 0.4).ranges
+    scans = [scan_at(k, 0.1 * k) for k in range(5)]
+    scans += [replace(scan_at(k, 0.1 * k), ranges=frozen) for k in range(5, 15)] + [scan_at(15, 1.5)]
+    assert judged(scans) == [None] * 5 + ["repeated"] * 10 + [None]
+    without = [replace(scan, T_odom_base=None) for scan in scans]
+    assert set(judged(without)) == {None}  # nobody says that it moves
+
+
+@pytest.mark.parametrize("n_fading", [1, 4])
+def test_a_laser_is_covered_until_it_sees_far_again(n_fading: int) -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(40)]
+    n = len(scans[0].ranges)
+    for k in range(10, 30):
+        share = min((k - 9) / n_fading, 1.0)
+        cover = np.random.default_rng(k).normal(0.3, 0.01, n)
+        ranges = np.where(np.arange(n) < share * n, cover, scans[k].ranges)
+        scans[k] = replace(scans[k], ranges=ranges)
+    told = judged(scans)
+    first = 9 + n_fading
+    assert told[first:30] == ["covered"] * (30 - first)
+    assert set(told[:first] + told[30:]) == {None}
+
+
+def test_somebody_who_steps_before_the_laser_does_not_cover_it() -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(20)]
+    n = len(scans[0].ranges)
+    for k in range(10, 20):
+        scans[k] = replace(scans[k], ranges=np.where(np.arange(n) < 0.7 * n, 0.4, scans[k].ranges))
+    assert set(judged(scans)) == {None}
+
+
+def test_nothing_is_said_after_a_gap() -> None:
+    near = np.full(len(scan_at(0, 0.0).ranges), 0.3)
+    scans = [scan_at(k, 0.1 * k) for k in range(10)]
+    assert judged([*scans, replace(scan_at(40, 4.0), ranges=near)])[-1] is None
+
+
+def test_a_hall_beyond_reach_looks_the_same_everywhere() -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(10)]
+    limit = scans[0].laser.range_max
+    assert set(judged([replace(x, ranges=np.full(len(x.ranges), limit)) for x in scans])) == {None}
+
+
+def test_a_laser_that_saw_nothing_before_is_not_covered_by_what_it_sees_then() -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(20)]
+    for k in (8, 9, 10):
+        scans[k].ranges[:] = np.inf
+    assert set(judged(scans)) == {None}
+
+
+def test_a_robot_carried_into_a_smaller_room_is_not_covered() -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(20)]
+    for scan in scans[:10]:
+        scan.ranges[:] *= 2.5  # up to there in a larger one
+    assert set(judged(scans)) == {None}
