@@ -14,6 +14,7 @@ from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 
 if TYPE_CHECKING:
     from slammot_graph.core.results import RunResult, StepResult
+    from slammot_graph.core.saved_map import SavedMap
     from slammot_graph.core.saved_run import RunFolder
     from slammot_graph.core.scan import LaserModel, Scan
     from slammot_graph.logs import open_log
@@ -34,6 +35,7 @@ __all__ = [
     "Run",
     "RunFolder",
     "RunResult",
+    "SavedMap",
     "Scan",
     "SlammotError",
     "StepResult",
@@ -52,6 +54,7 @@ _HOME = {
     "Run": "run.Run",
     "RunFolder": "core.saved_run.RunFolder",
     "RunResult": "core.results.RunResult",
+    "SavedMap": "core.saved_map.SavedMap",
     "Scan": "core.scan.Scan",
     "StepResult": "core.results.StepResult",
     "get_method": "methods.get_method",

@@ -10,6 +10,7 @@ from slammot_graph.core.events import Event
 from slammot_graph.core.linalg import fused
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.saved_map import SavedMap
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
@@ -51,6 +52,8 @@ class FinalEstimate:
         Scan index of each node.
     nodes : (m, 3) array, map frame
     edges : tuple of GraphEdge
+    saved_map : SavedMap or None
+        What later runs start from, where there is a graph.
     """
 
     T_map_base: FloatArray
@@ -58,6 +61,7 @@ class FinalEstimate:
     node_scans: IntArray
     nodes: FloatArray
     edges: tuple[GraphEdge, ...]
+    saved_map: SavedMap | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

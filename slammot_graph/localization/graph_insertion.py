@@ -4,13 +4,16 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import invert
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, MatchResult
+from slammot_graph.core.saved_map import SavedMap, SavedRun
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph
 from slammot_graph.localization.base import FIRST_COV
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.keyframe_state import KeyframeState
 from slammot_graph.loop_closure import LoopCloser, Submap
+from slammot_graph.loop_closure.saved_submaps import calibration_of, save_submaps
 from slammot_graph.mapping.local_map import Keyframe, LocalMap
 from slammot_graph.odometry.propagation import MotionState
 
@@ -145,6 +148,23 @@ class GraphInsertion:
             self.local_map.set_covariances(covs)
             state = state._replace(cov_independent=covs[-1])
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
+
+    def saved_map(self, nodes: FloatArray, path_m: float, report: OdometryReport) -> SavedMap:
+        """Give all local maps, the unfinished one too, and the graph with its optimised poses (n, 3)."""
+        submaps = [] if self.closer is None else list(self.closer.submaps)
+        if len(self.local_map.keyframes) > 1:
+            unfinished = tuple(self.local_map.keyframes)
+            submaps.append(
+                Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._submap_config)
+            )
+        return save_submaps(
+            submaps,
+            nodes=nodes,
+            node_scans=np.array(self.node_scans, dtype=np.int64),
+            edges=tuple(self.graph.edges),
+            joined=tuple({0} if self.closer is None else self.closer.relocalization.joined),
+            runs=(SavedRun(odometry=calibration_of(report)),),
+        )
 
     def start_component(self, path_m: float) -> None:
         """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.

@@ -174,6 +174,7 @@ class ScanToMap:
             node_scans=np.array(self.insertion.node_scans),
             nodes=nodes,
             edges=tuple(self.graph.edges),
+            saved_map=self.insertion.saved_map(nodes, self.propagation.path_m, self.odometry_report()),
         )
 
     def close(self) -> None:

@@ -3,11 +3,13 @@
 from pathlib import Path
 
 from slammot_graph.core.results import RunResult
+from slammot_graph.core.saved_map import MAP_FILE
 from slammot_graph.run_folder.atomic import write_errors
 from slammot_graph.run_folder.covariances import write_covariances
 from slammot_graph.run_folder.g2o import write_graph
 from slammot_graph.run_folder.map_files import write_map
 from slammot_graph.run_folder.points import write_points
+from slammot_graph.run_folder.slam_map import write_slam_map
 from slammot_graph.run_folder.summary import write_summary
 from slammot_graph.run_folder.tracks import write_tracks, write_tracks_online
 from slammot_graph.run_folder.tum import write_trajectory
@@ -16,7 +18,7 @@ from slammot_graph.run_folder.tum import write_trajectory
 def write_run_folder(output: str | Path, result: RunResult) -> None:
     """Write all files of a run but the recording and the picture.
 
-    A method without a pose graph leaves no ``graph.g2o``.
+    A method without a pose graph leaves no ``graph.g2o`` and no ``map.slam``.
 
     Parameters
     ----------
@@ -42,5 +44,10 @@ def write_run_folder(output: str | Path, result: RunResult) -> None:
     else:
         with write_errors(output / "graph.g2o", "remove it yourself, or name another --output"):
             (output / "graph.g2o").unlink(missing_ok=True)
+    if result.saved_map is not None:
+        write_slam_map(output / MAP_FILE, result.saved_map, result)
+    else:
+        with write_errors(output / MAP_FILE, "remove it yourself, or name another --output"):
+            (output / MAP_FILE).unlink(missing_ok=True)
     write_covariances(output / "covariances.npz", result)
     write_summary(output / "summary.json", result)
