@@ -14,7 +14,7 @@ from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 
 if TYPE_CHECKING:
     from slammot_graph.core.results import RunResult, StepResult
-    from slammot_graph.core.saved_map import SavedMap
+    from slammot_graph.core.saved_map import MapStart, SavedMap
     from slammot_graph.core.saved_run import RunFolder
     from slammot_graph.core.scan import LaserModel, Scan
     from slammot_graph.logs import open_log
@@ -30,6 +30,7 @@ __all__ = [
     "ConfigError",
     "InputError",
     "LaserModel",
+    "MapStart",
     "Pipeline",
     "PipelineConfig",
     "Run",
@@ -49,6 +50,7 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 _HOME = {
     "METHODS": "methods.METHODS",
     "LaserModel": "core.scan.LaserModel",
+    "MapStart": "core.saved_map.MapStart",
     "Pipeline": "pipeline.Pipeline",
     "PipelineConfig": "pipeline.PipelineConfig",
     "Run": "run.Run",

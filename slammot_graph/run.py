@@ -16,6 +16,7 @@ from slammot_graph.core._numba import is_compiled
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
 from slammot_graph.core.results import RunResult, StepResult
+from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.diagnosis import RunStatistics, as_mounted, diagnose, limits_of
@@ -29,9 +30,13 @@ from slammot_graph.registration._solve_kernels import match_point_to_line
 from slammot_graph.tracking.smoothing import SmoothedTracks
 
 
-def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
-    """Build what a method's configuration describes."""
-    return KissIcpPipeline(config) if isinstance(config, KissIcpConfig) else Pipeline(config)
+def make_pipeline(config: Config, start: MapStart | None = None) -> Pipeline | KissIcpPipeline:
+    """Build what a method's configuration describes, from a saved map on where one is given."""
+    if not isinstance(config, KissIcpConfig):
+        return Pipeline(config, start)
+    if start is not None:
+        raise ConfigError("kiss-icp cannot start from a saved map; choose the method graph")
+    return KissIcpPipeline(config)
 
 
 def has_compiled_kernels() -> bool:
@@ -60,6 +65,9 @@ class Run:
         Take the log's first usable scans only, at least 1.
     observers : iterable of Observer
         Are shown each step; they cannot change the estimate.
+    start : MapStart, optional
+        A saved map to start from: the robot's place there is looked for, and poses are in its frame once it is found.
+        While it is not, the health of the scans is "lost".
 
     Examples
     --------
@@ -78,6 +86,7 @@ class Run:
         max_range_m: float | None = None,
         max_scans: int | None = None,
         observers: Iterable[Observer] = (),
+        start: MapStart | None = None,
     ) -> None:
         if max_scans is not None and max_scans < 1:
             raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
@@ -88,7 +97,8 @@ class Run:
             self.config = replace(self.config, max_range_m=max_range_m)
         self.max_scans = max_scans
         self._observers = Observers(observers)
-        self._session = _Session.begin(self.config)
+        self.start = start
+        self._session = _Session.begin(self.config, start)
         self._steps: weakref.ref[Generator[StepResult, None, None]] | None = None
 
     @property
@@ -113,7 +123,7 @@ class Run:
         """
         self.close()
         if self._session.is_started:
-            self._session = _Session.begin(self.config)
+            self._session = _Session.begin(self.config, self.start)
         self._session.is_started = True
         steps = self._run(self._session)
         self._steps = weakref.ref(steps)
@@ -280,8 +290,8 @@ class _Session:
     is_complete: bool = False
 
     @classmethod
-    def begin(cls, config: Config) -> Self:
-        return cls(make_pipeline(config), RunStatistics(limits_of(config)))
+    def begin(cls, config: Config, start: MapStart | None) -> Self:
+        return cls(make_pipeline(config, start), RunStatistics(limits_of(config)))
 
 
 def _track_rows(tracks: SmoothedTracks, scans: Sequence[KeptScan]) -> FloatArray:

@@ -170,7 +170,7 @@ class SavedMap:
     def to_bytes(self) -> bytes:
         """Give the bytes of the file."""
         file = io.BytesIO()
-        np.savez_compressed(file, **_packed(self))  # type: ignore[arg-type]
+        np.savez_compressed(file, **_packed(self))
         body = file.getvalue()
         checksum = hashlib.sha256(body).hexdigest().encode("ascii")
         return b"%s %d %s\n" % (_MAGIC, VERSION, checksum) + body
@@ -209,6 +209,24 @@ class SavedMap:
         for edge in self.edges:
             if not (np.isfinite(edge.T_from_to).all() and np.isfinite(edge.information).all()):
                 raise ValueError("an edge that is not finite")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapStart:
+    """A map that a run starts from, and what it does there.
+
+    Attributes
+    ----------
+    saved : SavedMap
+    localize : bool
+        Find the robot in it and follow it there, the map stays as it is; else the run goes on with the map.
+    initial_pose : (3,) array or None
+        About where the run begins, map frame; None: anywhere.
+    """
+
+    saved: SavedMap
+    localize: bool = False
+    initial_pose: FloatArray | None = None
 
 
 def _packed(saved: SavedMap) -> dict[str, Any]:

@@ -83,6 +83,8 @@ class CommitResult:
     closures : tuple of ClosureAttempt
         Loop closures tried.
     events : tuple of Event
+    is_placed : bool
+        False while the robot's place in the saved map that the run started from is not known.
     """
 
     node: int | None = None
@@ -92,6 +94,7 @@ class CommitResult:
     is_mapped: bool = True
     closures: tuple[ClosureAttempt, ...] = ()
     events: tuple[Event, ...] = ()
+    is_placed: bool = True
 
 
 class Localizer(Protocol):

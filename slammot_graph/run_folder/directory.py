@@ -21,7 +21,8 @@ RUN_FILES = (
     "overview.png",
     "summary.json",
 )
-"""All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording no ``run.rrd``."""
+"""All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording
+no ``run.rrd``."""
 
 _FIRST_FILES = ("run.rrd", "trajectory.tum")  # an interrupted run leaves at least one of them
 
