@@ -145,7 +145,7 @@ class Pipeline:
             events=(*committed.events, *health.events),
             stage_ms=watch.read(),
             closures=committed.closures,
-            health=health.state if committed.is_placed else "lost",
+            health=committed.health or health.state,
         )
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:

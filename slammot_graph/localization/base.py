@@ -9,7 +9,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.events import Event
 from slammot_graph.core.linalg import fused
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, Health, MatchResult
 from slammot_graph.core.saved_map import SavedMap
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
@@ -83,8 +83,9 @@ class CommitResult:
     closures : tuple of ClosureAttempt
         Loop closures tried.
     events : tuple of Event
-    is_placed : bool
-        False while the robot's place in the saved map that the run started from is not known.
+    health : Health or None
+        In a saved map that the run started from, in place of what the matches tell: "lost" while the robot's place there
+        is not known, "degenerate" where the map does not show what the robot sees.
     """
 
     node: int | None = None
@@ -94,7 +95,7 @@ class CommitResult:
     is_mapped: bool = True
     closures: tuple[ClosureAttempt, ...] = ()
     events: tuple[Event, ...] = ()
-    is_placed: bool = True
+    health: Health | None = None
 
 
 class Localizer(Protocol):

@@ -31,6 +31,9 @@ TURN_M_PER_RAD = 1.5
 MIN_AGREEMENT = 0.7
 """Where fewer of the points agree with the saved map, the robot's own keyframes are added."""
 
+OWN_REACH_M = 4.0
+"""The robot's own keyframes are forgotten farther away."""
+
 FOUND_STD = (0.1, 0.1, 0.02)
 """Standard deviation of the place that was found, before the first match there [m, m, rad]."""
 
@@ -89,7 +92,7 @@ class InSavedMap(ScanToMap):
         self.is_found = False
         self._start = start
         self._known: KeyframesOfMap | None = None
-        self._own: deque[Keyframe] = deque(maxlen=N_OWN)
+        self._own: deque[tuple[Keyframe, FloatArray]] = deque(maxlen=N_OWN)
         self._T_local_keyframe: FloatArray = se2.IDENTITY
         self._poses = array("d")
         self._parts: list[tuple[int, FloatArray]] = [(0, se2.IDENTITY)]
@@ -164,7 +167,7 @@ class InSavedMap(ScanToMap):
         if any(event.kind == "lost" for event in events):
             self._leave()
             self.propagation.commit(None)
-            return CommitResult(is_lost=True, is_placed=False, events=tuple(events))
+            return CommitResult(is_lost=True, health="lost", events=tuple(events))
         T_local_base, match = self.propagation.state.T_local_base, self._match
         distance_m, turn_rad = se2.distance(self._T_local_keyframe, T_local_base)
         config = self.local_map.config
@@ -172,14 +175,16 @@ class InSavedMap(ScanToMap):
         if is_keyframe:
             self.propagation.start_keyframe()
             if match is not None and match.status != "failed" and match.inlier_ratio < MIN_AGREEMENT:
-                self._own.append(
-                    make_keyframe(
-                        NO_NODE, T_local_base, points_base, is_static, scan.laser, config, scan.origins_base
-                    )
+                own = make_keyframe(
+                    NO_NODE, T_local_base, points_base, is_static, scan.laser, config, scan.origins_base
                 )
+                self._own.append((own, self.propagation.state.cov_relative))
             self._renew_local_map()
         self.propagation.commit(self._matched_pose())
-        return CommitResult(is_keyframe=is_keyframe, events=tuple(events))
+        is_known = not self._own
+        return CommitResult(
+            is_keyframe=is_keyframe, health=None if is_known else "degenerate", events=tuple(events)
+        )
 
     def _renew_local_map(self) -> None:
         assert self._known is not None
@@ -192,7 +197,11 @@ class InSavedMap(ScanToMap):
             )
             for k in self._known.around(se2.compose(self.T_map_local, T_local_base))
         ]
-        self.local_map.start([*chosen, *self._own])
+        near = [one for one in self._own if se2.distance(one[0].T_local_base, T_local_base)[0] < OWN_REACH_M]
+        self._own = deque(near, maxlen=N_OWN)
+        self.local_map.start([*chosen, *(keyframe for keyframe, _ in near)])
+        of_map = np.zeros((len(chosen), 3, 3))
+        self.local_map.set_covariances(np.concatenate([of_map, *(cov[None] for _, cov in near)]))
 
     def _leave(self) -> None:
         """Look for the robot again, with nothing known of the motion since."""

@@ -150,7 +150,7 @@ class ScanToMap:
             is_lost=is_lost,
             closures=closures,
             events=(*events, *(attempt.event(scan.index) for attempt in closures)),
-            is_placed=insertion.is_placed,
+            health=None if insertion.is_placed else "lost",
         )
 
     def odometry_report(self) -> OdometryReport:
