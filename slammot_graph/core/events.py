@@ -41,6 +41,9 @@ def _lost(data: Mapping[str, Any]) -> str:
         if data["cause"] == "kidnapped"
         else f"{data['n_scans']} matches failed in a row"
     )
+    if data["cause"] == "saved map":
+        n_scans = data["n_scans"]
+        return f"lost: for {n_scans} scans the saved map has not shown what the robot sees, it is looked for again"
     return f"lost: {why}, a new local map begins here"
 
 
@@ -79,8 +82,8 @@ class Event:
     scan : int
         Index of the scan at which it happened.
     data : mapping
-        What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped" or
-        "failed matches") and `n_scans` of a lost robot; `reason` of a contradiction; `after` ("contradiction" or
+        What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped", "failed
+        matches" or "saved map") and `n_scans` of a lost robot; `reason` of a contradiction; `after` ("contradiction" or
         "lost"), `n_scans` since then and `n_consistent` of a recovery; `target_node`, `source_node` and
         `reason` of a closure.
     """

@@ -84,8 +84,8 @@ class CommitResult:
         Loop closures tried.
     events : tuple of Event
     health : Health or None
-        In a saved map that the run started from, in place of what the matches tell: "lost" while the robot's place there
-        is not known, "degenerate" where the map does not show what the robot sees.
+        In a saved map that the run started from, in place of what the matches tell: "lost" while the robot's place
+        there is not known, "degenerate" where the map does not show what the robot sees.
     """
 
     node: int | None = None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import make_event
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
@@ -33,6 +34,9 @@ MIN_AGREEMENT = 0.7
 
 OWN_REACH_M = 4.0
 """The robot's own keyframes are forgotten farther away."""
+
+MOST_UNSURE_M = 8.0
+"""After so long a way on which the saved map has not shown what the robot sees, the robot is lost."""
 
 FOUND_STD = (0.1, 0.1, 0.02)
 """Standard deviation of the place that was found, before the first match there [m, m, rad]."""
@@ -94,6 +98,7 @@ class InSavedMap(ScanToMap):
         self._known: KeyframesOfMap | None = None
         self._own: deque[tuple[Keyframe, FloatArray]] = deque(maxlen=N_OWN)
         self._T_local_keyframe: FloatArray = se2.IDENTITY
+        self._sure_at: tuple[float, int] = (0.0, 0)
         self._poses = array("d")
         self._parts: list[tuple[int, FloatArray]] = [(0, se2.IDENTITY)]
 
@@ -104,7 +109,7 @@ class InSavedMap(ScanToMap):
         else:
             committed = super().commit(scan, points_base, is_static)
             if self.insertion.is_placed:
-                self._enter()
+                self._enter(scan.index)
             elif committed.is_lost:
                 self._parts.append((len(self._poses) // 12, se2.IDENTITY))
         estimate = self._estimate()
@@ -142,7 +147,7 @@ class InSavedMap(ScanToMap):
             T_anchor_base=state.T_local_base,
         )
 
-    def _enter(self) -> None:
+    def _enter(self, scan: int) -> None:
         """Go over to the saved keyframes."""
         if self._known is None:
             closer, saved = self.insertion.closer, self._start.saved
@@ -153,6 +158,7 @@ class InSavedMap(ScanToMap):
             self._known = KeyframesOfMap(joined, saved.nodes)
         self.is_found = True
         self._own.clear()
+        self._sure_at = self.propagation.path_m, scan
         self._parts[-1] = self._parts[-1][0], self.T_map_local
         cov = np.diag(np.square(FOUND_STD))
         self.propagation.state = self.propagation.state._replace(
@@ -164,6 +170,9 @@ class InSavedMap(ScanToMap):
         """Keep the scan's pose; renew the local map where the robot has moved on."""
         has_points = bool(np.count_nonzero(is_static) >= self.config.point_to_line.min_pairs)
         events = self._look_for_loss(scan, has_points)
+        unsure_m, unsure_scans = self._unsure_for(scan.index)
+        if not events and unsure_m > MOST_UNSURE_M:
+            events.append(make_event("lost", scan.index, cause="saved map", n_scans=unsure_scans))
         if any(event.kind == "lost" for event in events):
             self._leave()
             self.propagation.commit(None)
@@ -185,6 +194,18 @@ class InSavedMap(ScanToMap):
         return CommitResult(
             is_keyframe=is_keyframe, health=None if is_known else "degenerate", events=tuple(events)
         )
+
+    def _unsure_for(self, scan: int) -> tuple[float, int]:
+        """How far the robot has gone, and for how many scans, since the saved map alone showed what it saw."""
+        match, path_m = self._match, self.propagation.path_m
+        if (
+            match is not None
+            and not self._own
+            and match.status != "failed"
+            and not match.contradicts_odometry
+        ):
+            self._sure_at = path_m, scan
+        return path_m - self._sure_at[0], scan - self._sure_at[1]
 
     def _renew_local_map(self) -> None:
         assert self._known is not None

