@@ -14,6 +14,7 @@ from slammot_graph.core.errors import ConfigError, InputError, SlammotError
 
 if TYPE_CHECKING:
     from slammot_graph.core.results import RunResult, StepResult
+    from slammot_graph.core.saved_map import MapStart, SavedMap
     from slammot_graph.core.saved_run import RunFolder
     from slammot_graph.core.scan import LaserModel, Scan
     from slammot_graph.logs import open_log
@@ -29,11 +30,13 @@ __all__ = [
     "ConfigError",
     "InputError",
     "LaserModel",
+    "MapStart",
     "Pipeline",
     "PipelineConfig",
     "Run",
     "RunFolder",
     "RunResult",
+    "SavedMap",
     "Scan",
     "SlammotError",
     "StepResult",
@@ -47,11 +50,13 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 _HOME = {
     "METHODS": "methods.METHODS",
     "LaserModel": "core.scan.LaserModel",
+    "MapStart": "core.saved_map.MapStart",
     "Pipeline": "pipeline.Pipeline",
     "PipelineConfig": "pipeline.PipelineConfig",
     "Run": "run.Run",
     "RunFolder": "core.saved_run.RunFolder",
     "RunResult": "core.results.RunResult",
+    "SavedMap": "core.saved_map.SavedMap",
     "Scan": "core.scan.Scan",
     "StepResult": "core.results.StepResult",
     "get_method": "methods.get_method",

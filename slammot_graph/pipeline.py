@@ -10,6 +10,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResult, TrackState
+from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
@@ -41,6 +42,8 @@ class Pipeline:
     ----------
     config : PipelineConfig
         As of a method of the registry, or your own.
+    start : MapStart, optional
+        A saved map to start from; the configuration must have a graph with loop closure.
 
     Attributes
     ----------
@@ -58,9 +61,9 @@ class Pipeline:
     ...         result = pipeline.step(scan)
     """
 
-    def __init__(self, config: PipelineConfig) -> None:
+    def __init__(self, config: PipelineConfig, start: MapStart | None = None) -> None:
         self.config = config
-        self.localizer = make_localizer(config.localizer, config.odometry_noise)
+        self.localizer = make_localizer(config.localizer, config.odometry_noise, start)
         self.grid = None if config.has_graph else OccupancyGrid(config.grid)
         self.detector = make_detector(config.detector, max_range_m=config.max_range_m, map_grid=self.grid)
         self.tracker = make_tracker(config.tracker)
@@ -145,7 +148,7 @@ class Pipeline:
             events=(*blind_events, *committed.events, *health.events),
             stage_ms=watch.read(),
             closures=committed.closures,
-            health=health.state,
+            health=committed.health or health.state,
         )
 
     def final_labels(self, T_map_base: FloatArray) -> list[BoolArray] | None:

@@ -15,12 +15,12 @@ from slammot_graph.core import se2
 from slammot_graph.core._numba import is_compiled
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
-from slammot_graph.core.events import Event
-from slammot_graph.core.results import Health, RunResult, StepResult
+from slammot_graph.core.results import RunResult, StepResult
+from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.core.types import FloatArray
 from slammot_graph.diagnosis import RunStatistics, as_mounted, diagnose, limits_of
-from slammot_graph.localization import FinalEstimate
+from slammot_graph.kept_scans import KeptScan, KeptScans
 from slammot_graph.logs import describe
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import Config, get_method
@@ -30,9 +30,13 @@ from slammot_graph.registration._solve_kernels import match_point_to_line
 from slammot_graph.tracking.smoothing import SmoothedTracks
 
 
-def make_pipeline(config: Config) -> Pipeline | KissIcpPipeline:
-    """Build what a method's configuration describes."""
-    return KissIcpPipeline(config) if isinstance(config, KissIcpConfig) else Pipeline(config)
+def make_pipeline(config: Config, start: MapStart | None = None) -> Pipeline | KissIcpPipeline:
+    """Build what a method's configuration describes, from a saved map on where one is given."""
+    if not isinstance(config, KissIcpConfig):
+        return Pipeline(config, start)
+    if start is not None:
+        raise ConfigError("kiss-icp cannot start from a saved map; choose the method graph")
+    return KissIcpPipeline(config)
 
 
 def has_compiled_kernels() -> bool:
@@ -61,6 +65,9 @@ class Run:
         Take the log's first usable scans only, at least 1.
     observers : iterable of Observer
         Are shown each step; they cannot change the estimate.
+    start : MapStart, optional
+        A saved map to start from: the robot's place there is looked for, and poses are in its frame once it is found.
+        While it is not, the health of the scans is "lost".
 
     Examples
     --------
@@ -79,6 +86,7 @@ class Run:
         max_range_m: float | None = None,
         max_scans: int | None = None,
         observers: Iterable[Observer] = (),
+        start: MapStart | None = None,
     ) -> None:
         if max_scans is not None and max_scans < 1:
             raise ConfigError(f"max_scans must be at least 1, not {max_scans}")
@@ -89,7 +97,8 @@ class Run:
             self.config = replace(self.config, max_range_m=max_range_m)
         self.max_scans = max_scans
         self._observers = Observers(observers)
-        self._session = _Session.begin(self.config)
+        self.start = start
+        self._session = _Session.begin(self.config, start)
         self._steps: weakref.ref[Generator[StepResult, None, None]] | None = None
 
     @property
@@ -114,7 +123,7 @@ class Run:
         """
         self.close()
         if self._session.is_started:
-            self._session = _Session.begin(self.config)
+            self._session = _Session.begin(self.config, self.start)
         self._session.is_started = True
         steps = self._run(self._session)
         self._steps = weakref.ref(steps)
@@ -264,91 +273,8 @@ class Run:
             odometry=report,
             verdict=diagnose(session.statistics, report, log.warnings),
             laser=np.array([scan.laser for scan in scans], dtype=np.int64),
+            saved_map=final.saved_map,
         )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _KeptScan:
-    """What of a step goes into the result; fields as of `StepResult`, of which it is a part."""
-
-    index: int
-    stamp: float
-    T_map_base: FloatArray
-    cov_map: FloatArray
-    T_odom_base: FloatArray | None
-    T_world_base: FloatArray | None
-    is_valid: BoolArray
-    is_moving: BoolArray
-    p_moving: np.ndarray
-    stage_ms: dict[str, float]
-    nis: float
-    anchor_scan: int
-    T_anchor_base: FloatArray
-    cov_anchor_base: FloatArray
-    health: Health
-    laser: int
-
-
-class _Kept:
-    """What of all steps goes into the result."""
-
-    def __init__(self) -> None:
-        self.scans: list[_KeptScan] = []
-        self.moving_base: list[tuple[int, np.ndarray]] = []
-        self.tracks: list[list[float]] = []
-        self.is_track_seen: list[bool] = []
-        self.n_failed = 0
-        self.events: list[Event] = []
-
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def keep(self, step: StepResult) -> None:
-        if step.is_moving.any():
-            points = step.scan.points_base()[step.is_moving]
-            self.moving_base.append((len(self.scans), points.astype(np.float32)))
-        self.scans.append(
-            _KeptScan(
-                index=step.scan.index,
-                stamp=step.scan.stamp,
-                T_map_base=step.T_map_base,
-                cov_map=step.cov_map,
-                T_odom_base=step.scan.T_odom_base,
-                T_world_base=None if step.scan.truth is None else step.scan.truth.T_world_base,
-                is_valid=step.is_valid,
-                is_moving=step.is_moving,
-                p_moving=step.p_moving.astype(np.float16),
-                stage_ms=dict(step.stage_ms),
-                nis=step.innovation_nis,
-                anchor_scan=step.anchor_scan,
-                T_anchor_base=step.T_anchor_base,
-                cov_anchor_base=step.cov_anchor_base,
-                health=step.health,
-                laser=step.scan.laser.number,
-            )
-        )
-        self.n_failed += step.match is not None and step.match.status == "failed"
-        self.events += step.events
-        for track in step.tracks:
-            (xx, xy), (_, yy) = track.position_cov
-            row = [step.scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy]
-            self.tracks.append([float(value) for value in (*row, step.scan.index)])
-            self.is_track_seen.append(len(track.beams) > 0)
-
-    def online_estimate(self) -> FinalEstimate:
-        """Give the poses as they were estimated at the time, without a graph."""
-        return FinalEstimate(
-            T_map_base=np.array([scan.T_map_base for scan in self.scans]).reshape(-1, 3),
-            cov_map=np.array([scan.cov_map for scan in self.scans]).reshape(-1, 3, 3),
-            node_scans=np.empty(0, dtype=np.int64),
-            nodes=np.empty((0, 3)),
-            edges=(),
-        )
-
-    def moving_points(self, T_map_base: FloatArray) -> FloatArray:
-        """(m, 2) moving points of all scans by the labels of the time, map frame."""
-        found = [se2.transform(T_map_base[k], points) for k, points in self.moving_base]
-        return np.concatenate([np.empty((0, 2)), *found])
 
 
 @dataclass(eq=False)
@@ -357,18 +283,18 @@ class _Session:
 
     pipeline: Pipeline | KissIcpPipeline
     statistics: RunStatistics
-    kept: _Kept = field(default_factory=_Kept)
+    kept: KeptScans = field(default_factory=KeptScans)
     outcome: Outcome | None = None
     is_started: bool = False
     is_observed: bool = False
     is_complete: bool = False
 
     @classmethod
-    def begin(cls, config: Config) -> Self:
-        return cls(make_pipeline(config), RunStatistics(limits_of(config)))
+    def begin(cls, config: Config, start: MapStart | None) -> Self:
+        return cls(make_pipeline(config, start), RunStatistics(limits_of(config)))
 
 
-def _track_rows(tracks: SmoothedTracks, scans: Sequence[_KeptScan]) -> FloatArray:
+def _track_rows(tracks: SmoothedTracks, scans: Sequence[KeptScan]) -> FloatArray:
     """(k, 10) rows of smoothed tracks, the columns `TRACK_COLUMNS`."""
     stamps, indices = np.array([(scan.stamp, scan.index) for scan in scans]).reshape(-1, 2)[tracks.scans].T
     covs = tracks.covs[:, [0, 0, 1], [0, 1, 1]]

@@ -28,7 +28,7 @@ LAYERS = (
     ("old_keys",),
     ("pipeline",),
     ("methods",),
-    ("observer", "diagnosis", "conclusion"),
+    ("observer", "diagnosis", "conclusion", "kept_scans"),
     ("run",),
     ("run_folder", "viz"),
     ("viz/rerun",),

@@ -38,6 +38,7 @@ from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
     from slammot_graph.core.results import RunResult
+    from slammot_graph.core.saved_map import MapStart
     from slammot_graph.logs import LaserLog
     from slammot_graph.observer import Observer
     from slammot_graph.run import Run
@@ -76,6 +77,9 @@ def run_command(
     base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
     odometry: OdometrySwitch = "on",
     laser_pose: LaserPose = None,
+    map_folder: Annotated[Path | None, tyro.conf.arg(name="map", metavar="DIR")] = None,
+    localize: bool = False,
+    initial_pose: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y YAW")] = None,
     rerun: RerunMode = "file",
     overwrite: bool = False,
 ) -> int:
@@ -114,6 +118,12 @@ def run_command(
     laser_pose
         Where the laser sits on the robot [m, m, rad], in place of what the log says; flip: upside down. Of several
         lasers, the frame of each before its pose.
+    map_folder
+        Start from the map of this run's folder (map.slam): find the robot in it, and go on with it.
+    localize
+        Find and follow the robot in that map, which stays as it is.
+    initial_pose
+        About where in that map the log begins [m, m, rad]; by default anywhere.
     rerun
         Record run.rrd, stream to a viewer, or neither.
     overwrite
@@ -155,6 +165,7 @@ def run_command(
         max_range_m=None if math.isinf(max_range) else max_range,
         max_scans=max_scans,
         observers=_observers(output, rerun),
+        start=_map_start(map_folder, localize, initial_pose),
     )
     opened = cast("LaserLog", run.log)
     early = inspect_first(opened, limits_of(run.config))
@@ -162,10 +173,36 @@ def run_command(
     outcome = _execute(run, opened, output, overwrite=overwrite)
     told = {finding.kind for finding in early}
     warn_of(opened, [finding for finding in outcome.result.verdict if finding.kind not in told])
+    if run.start is not None and (outcome.result.health == "lost").all():
+        stderr().print(
+            f"warning: the robot was not found in {map_folder}; its poses are in a frame of their own, where its first"
+            " pose is the origin; drive farther, through places that the map has seen, or give --initial-pose",
+            soft_wrap=True,
+        )
     stdout().print(_run_table(outcome))
     if outcome.failure is not None:
         raise outcome.failure
     return EXIT_INTERRUPTED if outcome.was_interrupted else EXIT_OK
+
+
+def _map_start(
+    folder: Path | None, localize: bool, initial_pose: tuple[float, float, float] | None
+) -> "MapStart | None":
+    """Read the map that a run starts from, if there is one."""
+    import numpy as np
+
+    from slammot_graph.core.saved_map import MapStart, SavedMap
+
+    if folder is None:
+        if localize or initial_pose is not None:
+            raise InputError(
+                "--localize and --initial-pose need --map DIR, the folder of the run whose map it is"
+            )
+        return None
+    pose = None if initial_pose is None else np.array(initial_pose)
+    if pose is not None and not np.isfinite(pose).all():
+        raise InputError("--initial-pose must be three finite numbers: x y [m] and yaw [rad]")
+    return MapStart(saved=SavedMap.load(folder), localize=localize, initial_pose=pose)
 
 
 def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")) -> int:

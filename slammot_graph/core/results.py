@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.tracked_object import TrackedObject
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from slammot_graph.core.saved_map import SavedMap
 
 MatchStatus = Literal["converged", "degenerate", "failed"]
 Health = Literal["healthy", "degenerate", "contradiction", "lost", "recovered"]
@@ -323,6 +326,8 @@ class RunResult:
         What `tracks` follow, where the run tells.
     laser : (n,) int array or None
         Which of the robot's lasers took each scan, from 0; None: the only one.
+    saved_map : SavedMap or None
+        What later runs start from: `map.slam` of the run folder; None for a method without a graph.
     """
 
     method: str
@@ -362,6 +367,7 @@ class RunResult:
     T_map_base_online: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     objects: tuple[TrackedObject, ...] = ()
     laser: IntArray | None = None
+    saved_map: "SavedMap | None" = None
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

@@ -223,6 +223,11 @@ class PoseGraph:
         gone = {id(edge) for edge in edges}
         self.edges = [edge for edge in self.edges if id(edge) not in gone]
 
+    def load(self, poses: FloatArray, edges: Sequence[GraphEdge]) -> None:
+        """Begin with the nodes (n, 3) and edges of a saved graph."""
+        self.edges, self._n_nodes = list(edges), len(poses)
+        self.rebuild(poses)
+
     def rebuild(self, poses: FloatArray) -> None:
         """Solve the whole graph anew from these poses (n, 3), as when a component of it turns out to lie elsewhere.
 

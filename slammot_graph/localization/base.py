@@ -9,7 +9,8 @@ from slammot_graph.core import se2
 from slammot_graph.core.events import Event
 from slammot_graph.core.linalg import fused
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, Health, MatchResult
+from slammot_graph.core.saved_map import SavedMap
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
@@ -51,6 +52,8 @@ class FinalEstimate:
         Scan index of each node.
     nodes : (m, 3) array, map frame
     edges : tuple of GraphEdge
+    saved_map : SavedMap or None
+        What later runs start from, where there is a graph.
     """
 
     T_map_base: FloatArray
@@ -58,6 +61,7 @@ class FinalEstimate:
     node_scans: IntArray
     nodes: FloatArray
     edges: tuple[GraphEdge, ...]
+    saved_map: SavedMap | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,6 +83,9 @@ class CommitResult:
     closures : tuple of ClosureAttempt
         Loop closures tried.
     events : tuple of Event
+    health : Health or None
+        In a saved map that the run started from, in place of what the matches tell: "lost" while the robot's place
+        there is not known, "degenerate" where the map does not show what the robot sees.
     """
 
     node: int | None = None
@@ -88,6 +95,7 @@ class CommitResult:
     is_mapped: bool = True
     closures: tuple[ClosureAttempt, ...] = ()
     events: tuple[Event, ...] = ()
+    health: Health | None = None
 
 
 class Localizer(Protocol):

@@ -4,15 +4,33 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import invert
+from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, MatchResult
+from slammot_graph.core.saved_map import MapStart, SavedMap, SavedRun
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph
 from slammot_graph.localization.base import FIRST_COV
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.keyframe_state import KeyframeState
 from slammot_graph.loop_closure import LoopCloser, Submap
+from slammot_graph.loop_closure.saved_submaps import calibration_of, load_submaps, save_submaps
 from slammot_graph.mapping.local_map import Keyframe, LocalMap
 from slammot_graph.odometry.propagation import MotionState
+
+ANYWHERE: FloatArray = np.diag(np.square([1e3, 1e3, 10.0]))
+"""Covariance of where a run begins in the map that it starts from [m^2, rad^2]."""
+
+NOT_OF_THIS_RUN = -1
+"""In place of the scan of a node of the map that the run started from."""
+
+FIRST_SEARCH, SEARCH_STEP = 4, 3
+"""The first local map is looked for in the saved map from so many keyframes on, and again after so many more."""
+
+
+def first_component(saved: SavedMap) -> int:
+    """Give the number of the component that a run begins beside a saved map."""
+    components = [*saved.submap_components.tolist(), *(run.component for run in saved.runs), *saved.joined]
+    return 1 + max(int(component) for component in (0, *components))
 
 
 class GraphInsertion:
@@ -47,6 +65,40 @@ class GraphInsertion:
         self._was_blind = False
         self._lost_cov = config.lost_cov
         self._submap_config = config.closure.submap
+        self._saved: SavedMap | None = None
+
+    @property
+    def has_node(self) -> bool:
+        """Whether the run has a node in the graph."""
+        return len(self.graph) > self._n_saved
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the place of the latest component in the map that the run started from is known."""
+        sought = (
+            self._saved is not None and self.closer is not None and self.closer.is_sought(self.n_times_lost)
+        )
+        return not sought
+
+    @property
+    def _saved_origin(self) -> FloatArray:
+        return se2.IDENTITY if self._saved is None else self._saved.nodes[0]
+
+    @property
+    def _n_saved(self) -> int:
+        return 0 if self._saved is None else len(self._saved.nodes)
+
+    def start_from(self, start: MapStart) -> None:
+        """Begin with a saved map: the run is a component beside it, until its place there is found."""
+        assert self.closer is not None
+        self._saved = saved = start.saved
+        self.graph.load(saved.nodes, saved.edges)
+        self.node_scans = [NOT_OF_THIS_RUN] * len(saved.nodes)
+        submaps = load_submaps(saved, self._submap_config)
+        self._n_submaps = len(submaps)
+        self.n_times_lost = first_component(saved)
+        self.closer.start_from(submaps, saved.joined, start.initial_pose)
+        self.cov_anchor = ANYWHERE
 
     def anchor(self, T_local_base: FloatArray) -> tuple[int, FloatArray]:
         """Node of the anchor, and a pose (3,) in its frame; without a local map, of the last node."""
@@ -57,7 +109,7 @@ class GraphInsertion:
 
     def advance(self, state: MotionState, T_odom_base: FloatArray, match: MatchResult | None) -> None:
         """Carry what is known since the last node, and since the anchor, on to a new keyframe."""
-        if len(self.graph) == 0:
+        if not self.has_node:
             self.keyframes.start(T_odom_base)
             return
         T_last_this = self.keyframes.advance(T_odom_base, state.cov_odometry, match)
@@ -96,6 +148,11 @@ class GraphInsertion:
         if len(self.graph) == 0:
             T_map_node = T_local_base
             node = self.graph.start(T_map_node)
+        elif not self.has_node:
+            T_map_node = T_local_base
+            node = self.graph.add_node(T_map_node)
+            T_first_node = se2.between(self._saved_origin, T_map_node)
+            self.graph.add_edge("odometry", 0, node, T_first_node, invert(ANYWHERE))
         else:
             last = len(self.graph) - 1
             T_map_node = se2.compose(keyframes.T_map_local, T_local_base)
@@ -141,11 +198,16 @@ class GraphInsertion:
         closures: tuple[ClosureAttempt, ...] = ()
         if finished and self.closer is not None:
             closures = self.closer.consider(self._submap(finished, path_m))
+        elif self._seeks_early():
+            closures = self._seek_early(path_m)
         anchor = self.local_map.anchor.node
         if node is not None and (is_first or finished):
             keyframes.place_node(self.graph.pose(node))
             self.cov_anchor = self.graph.marginal(anchor)
             keyframes.cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
+        if closures and not finished and self.is_placed and node is not None:
+            keyframes.place_node(self.graph.pose(node))
+            self.cov_anchor = self.graph.marginal(anchor)
         if is_first:
             self.local_factors.start(state.T_local_base)
             state = state._replace(cov_independent=FIRST_COV, cov_correlated=np.zeros((3, 3)))
@@ -154,6 +216,28 @@ class GraphInsertion:
             self.local_map.set_covariances(covs)
             state = state._replace(cov_independent=covs[-1])
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
+
+    def saved_map(self, nodes: FloatArray, path_m: float, report: OdometryReport) -> SavedMap:
+        """Give all local maps, the unfinished one too, and the graph with its optimised poses (n, 3)."""
+        submaps = [] if self.closer is None else list(self.closer.submaps)
+        if len(self.local_map.keyframes) > 1:
+            unfinished = tuple(self.local_map.keyframes)
+            submaps.append(
+                Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._submap_config)
+            )
+        component, old_scans, old_runs = 0, list[int](), tuple[SavedRun, ...]()
+        if self._saved is not None:
+            component, old_runs = first_component(self._saved), self._saved.runs
+            old_scans = self._saved.node_scans.tolist()
+        run = SavedRun(first_node=self._n_saved, component=component, odometry=calibration_of(report))
+        return save_submaps(
+            submaps,
+            nodes=nodes,
+            node_scans=np.array([*old_scans, *self.node_scans[self._n_saved :]], dtype=np.int64),
+            edges=tuple(self.graph.edges),
+            joined=tuple({0} if self.closer is None else self.closer.relocalization.joined),
+            runs=(*old_runs, run),
+        )
 
     def start_component(self, path_m: float, *, is_known: bool = False) -> None:
         """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.
@@ -167,6 +251,17 @@ class GraphInsertion:
         self.n_times_lost += not is_known
         self._was_blind = is_known
         self.local_map.start([])
+
+    def _seeks_early(self) -> bool:
+        """Tell whether to look for the first local map of a component before it is finished."""
+        n, closer = len(self.local_map.keyframes), self.closer
+        if closer is None or self.is_placed or n < FIRST_SEARCH or (n - FIRST_SEARCH) % SEARCH_STEP:
+            return False
+        return all(submap.component != self.n_times_lost for submap in closer.submaps)
+
+    def _seek_early(self, path_m: float) -> tuple[ClosureAttempt, ...]:
+        assert self.closer is not None
+        return self.closer.seek(self._submap(tuple(self.local_map.keyframes), path_m))
 
     def _submap(self, keyframes: tuple[Keyframe, ...], path_m: float) -> Submap:
         self._n_submaps += 1

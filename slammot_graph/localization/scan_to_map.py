@@ -8,6 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.events import Event, make_event
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.graph import PoseGraph
@@ -41,7 +42,7 @@ class ScanToMap:
         The graph, its loop closing, and what is known since the latest keyframe.
     """
 
-    def __init__(self, model: MotionModel, config: ScanToMapConfig) -> None:
+    def __init__(self, model: MotionModel, config: ScanToMapConfig, start: MapStart | None = None) -> None:
         self.config = config
         self.local_map = LocalMap(config.local_map)
         self.propagation = Propagation(model, FIRST_COV)
@@ -54,6 +55,8 @@ class ScanToMap:
         self._sweep_end: SweepEnd | None = None
         self._T_local_anchor: FloatArray = se2.IDENTITY
         self._scan_poses = ScanPoses()
+        if start is not None:
+            self.insertion.start_from(start)
 
     @property
     def graph(self) -> PoseGraph:
@@ -134,7 +137,7 @@ class ScanToMap:
         state, T_odom_base = propagation.state, propagation.T_odom_base
         node, closures = None, tuple[ClosureAttempt, ...]()
         wants = self.local_map.wants(state.T_local_base, scan.laser.number)
-        is_keyframe = len(self.graph) == 0 or (has_points and wants)
+        is_keyframe = not insertion.has_node or (has_points and wants)
         if is_keyframe:
             insertion.advance(state, T_odom_base, self._match)
             propagation.start_keyframe()
@@ -154,6 +157,7 @@ class ScanToMap:
                 *(attempt.event(scan.index) for attempt in closures),
                 *self._dropped(scan.index),
             ),
+            health=None if insertion.is_placed else "lost",
         )
 
     def _dropped(self, scan: int) -> list[Event]:
@@ -196,6 +200,7 @@ class ScanToMap:
             node_scans=np.array(self.insertion.node_scans),
             nodes=nodes,
             edges=tuple(self.graph.edges),
+            saved_map=self.insertion.saved_map(nodes, self.propagation.path_m, self.odometry_report()),
         )
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt
 from slammot_graph.loop_closure.config import LoopClosureConfig
+from slammot_graph.loop_closure.place_finder import PlaceFinder
 from slammot_graph.loop_closure.relocalization import Relocalization
 from slammot_graph.loop_closure.submap import Submap
 from slammot_graph.loop_closure.verification import SearchWindow, Verifier, search_window
@@ -45,6 +46,8 @@ class LoopCloser:
         The latest local map shows a known place.
     blind_drives : list of (int, (3, 3) array)
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
+    finder : PlaceFinder or None
+        Looks all over a saved map that the run started from.
     """
 
     def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig, graph: PoseGraph) -> None:
@@ -57,6 +60,38 @@ class LoopCloser:
         self.pending: list[Closure] = []
         self.is_known = False
         self.blind_drives: list[tuple[int, FloatArray]] = []
+        self.finder: PlaceFinder | None = None
+
+    def start_from(
+        self, submaps: list[Submap], joined: tuple[int, ...], initial_pose: FloatArray | None
+    ) -> None:
+        """Begin with the local maps of a saved map, whose graph is in place, and the components that lie where they do.
+
+        A component that is not joined is looked for all over the map from now on; the first one near a pose (3,) where
+        one is given.
+        """
+        self.submaps = list(submaps)
+        self.relocalization.joined = set(joined)
+        targets = [submap for submap in submaps if submap.component in joined]
+        self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), initial_pose)
+
+    def is_sought(self, component: int) -> bool:
+        """Tell whether a component's place in the saved map is looked for and not found yet."""
+        return self.finder is not None and component not in self.relocalization.joined
+
+    def seek(self, source: Submap) -> tuple[ClosureAttempt, ...]:
+        """Look all over the saved map for a local map, which may be unfinished; returns what was tried."""
+        if self.finder is None:
+            return ()
+        nodes = self.graph.poses()
+        found = self.finder.find(source, nodes)
+        if not found:
+            return ()
+        attempts = [self.relocalize(found, nodes)]
+        if attempts[0].status == "accepted":
+            attempts += self.reject_outliers()
+            self.finder.initial_pose = None
+        return tuple(attempts)
 
     def consider(self, submap: Submap) -> tuple[ClosureAttempt, ...]:
         """Take in a finished local map; returns what was tried."""
@@ -74,7 +109,7 @@ class LoopCloser:
         for closure, T_predicted, cov, is_strict in verified:
             is_apart = self.relocalization.is_apart(closure.target, closure.source)
             attempt = (
-                self.relocalize(closure)
+                self.relocalize([closure], self.graph.poses())
                 if is_apart
                 else self.decide(closure, T_predicted, cov, is_strict=is_strict)
             )
@@ -88,6 +123,8 @@ class LoopCloser:
             dropped = {id(edge) for edge, _ in self.graph.dropped}
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
+        if self.is_sought(submap.component):
+            attempts += self.seek(submap)
         return tuple(attempts)
 
     def decide(
@@ -114,21 +151,23 @@ class LoopCloser:
         self.pending.append(closure)
         return closure.attempt("waiting", how_far)
 
-    def relocalize(self, closure: Closure) -> ClosureAttempt:
-        """Take a closure between the old map and the component of a lost robot for a hypothesis on where that lies.
+    def relocalize(self, closures: list[Closure], nodes: FloatArray) -> ClosureAttempt:
+        """Take closures between the old map and the component of a lost robot for hypotheses on where that lies.
 
-        Once enough hypotheses agree, the component is moved there and joined.
+        Once enough hypotheses agree, the component is moved there and joined. `nodes` (n, 3) are the graph's poses.
         """
-        nodes = self.graph.poses()
-        consensus = self.relocalization.collect(closure, nodes)
+        closure = closures[0]
+        consensus = self.relocalization.collect(closures, nodes)
         if consensus is None:
             n_hypotheses = len(self.relocalization.closures)
             return closure.attempt("waiting", f"where the lost robot is: {n_hypotheses} hypotheses so far")
         agreeing, T_map_new = consensus
         component = closure.source.component
-        first = min(submap.anchor for submap in self.submaps if submap.component == component)
+        anchors = [submap.anchor for submap in self.submaps if submap.component == component]
+        first = min([*anchors, *(one.source.anchor for one in agreeing)])
         nodes[first:] = se2.compose(T_map_new[None, :], nodes[first:])
-        self._add_edges(agreeing)
+        # of local maps that went on growing the last one tells all
+        self._add_edges(list({(one.source.anchor, one.target.anchor): one for one in agreeing}.values()))
         self.graph.rebuild(nodes)
         self.relocalization.join()
         return closure.attempt("accepted", f"found again, {len(agreeing)} closures agree")
@@ -151,10 +190,11 @@ class LoopCloser:
         """Earlier local maps that may show the same place, the nearest first."""
         config, joined = self.config, self.relocalization.joined
         is_lost = source.component not in joined
+        others = set[int]() if self.is_sought(source.component) else joined
         old = [
             s
             for s in self.submaps
-            if (s.component in joined and s.component != source.component)
+            if (s.component in others and s.component != source.component)
             or (s.component == source.component and source.path_m - s.path_m > config.min_path_m)
         ]
         if not old:

@@ -5,6 +5,7 @@ proposes a transform that moves the new component onto the old map; those of sev
 clearly outnumber those for any other place.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,12 +83,13 @@ class Relocalization:
             return False
         return not (a.component in self.joined and b.component in self.joined)
 
-    def collect(self, closure: Closure, nodes: FloatArray) -> tuple[list[Closure], FloatArray] | None:
-        """Add a closure; None until enough of them agree.
+    def collect(self, new: Sequence[Closure], nodes: FloatArray) -> tuple[list[Closure], FloatArray] | None:
+        """Add closures of a local map; None until enough of them agree.
 
         Parameters
         ----------
-        closure : Closure
+        new : sequence of Closure
+            At least one, all of the same component.
         nodes : (n, 3) array
             Optimised poses of the graph.
 
@@ -95,10 +97,10 @@ class Relocalization:
         -------
         The closures that agree, and the transform (3,) of the latest of them that moves the component onto the old map.
         """
-        if closure.source.component != self._component:
-            self._component, self.closures = closure.source.component, []
-        self.closures.append(closure)
-        hypotheses = [_hypothesis(collected, nodes) for collected in self.closures]
+        if new[0].source.component != self._component:
+            self._component, self.closures = new[0].source.component, []
+        self.closures += new
+        hypotheses = [hypothesis_of(collected, nodes) for collected in self.closures]
         agreed = find_consensus(hypotheses, self.config)
         if not agreed:
             return None
@@ -110,7 +112,8 @@ class Relocalization:
         self.closures = []
 
 
-def _hypothesis(closure: Closure, nodes: FloatArray) -> PlaceHypothesis:
+def hypothesis_of(closure: Closure, nodes: FloatArray) -> PlaceHypothesis:
+    """Give what a closure says of where its component lies; `nodes` (n, 3) are the poses of the graph."""
     place = se2.compose(nodes[closure.target.anchor], closure.T_target_source)
     T_map_new = se2.compose(place, se2.inverse(nodes[closure.source.anchor]))
     return PlaceHypothesis(source=closure.source.number, T_map_new=T_map_new, place=place)

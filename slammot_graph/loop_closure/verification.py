@@ -52,10 +52,18 @@ def search_window(config: LoopClosureConfig, cov: FloatArray, *, is_apart: bool)
 
 
 class Verifier:
-    """Tells whether two local maps show the same place, and how they lie to each other."""
+    """Tells whether two local maps show the same place, and how they lie to each other.
+
+    Attributes
+    ----------
+    config : LoopClosureConfig
+    n_prepared : int
+        Score grids of so many local maps are kept.
+    """
 
     def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig) -> None:
         self.config = config
+        self.n_prepared = config.n_prepared
         self._field = LocalMap(local_map)
         self._matcher = make_matcher(config.point_to_line)
         self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
@@ -72,10 +80,31 @@ class Verifier:
             Anchor of the source in the frame of the target's anchor.
         window : SearchWindow
         """
+        start = self._find_start(self.prepare(target), source, T_predicted, window)
+        return start if isinstance(start, str) else self._check(target, source, start)
+
+    def best_pose(
+        self, target: Submap, source: Submap, centre: FloatArray, window: SearchWindow, min_score: float
+    ) -> tuple[float, FloatArray]:
+        """Give the best pose (3,) of a local map around one (3,) of another, with its share of the best possible score.
+
+        The share is 0 where that is not above `min_score`; the search is the quicker the higher that is.
+        """
+        prepared, points, pose = self.prepare(target), self._search_points(source, window), np.empty(3)
+        most = prepared.config.occupied_score * len(points)
+        return self._search(prepared, points, centre, window, None, min_score * most, pose) / most, pose
+
+    def prepare(self, submap: Submap) -> PreparedSubmap:
+        """Give a submap's grids, from a small store of the latest ones used."""
+        prepared = self._prepared.pop(submap.number, None) or PreparedSubmap(submap)
+        self._prepared[submap.number] = prepared
+        if len(self._prepared) > self.n_prepared:
+            self._prepared.popitem(last=False)
+        return prepared
+
+    def _check(self, target: Submap, source: Submap, start: FloatArray) -> Closure | str:
+        """Match from a pose (3,) and check; the reason if they do not agree."""
         prepared = self.prepare(target)
-        start = self._find_start(prepared, source, T_predicted, window)
-        if isinstance(start, str):
-            return start
         match = self._match(target, source, start)
         if match.status == "failed":
             return match.reason
@@ -101,22 +130,21 @@ class Verifier:
             overlap=overlap,
         )
 
-    def prepare(self, submap: Submap) -> PreparedSubmap:
-        """Give a submap's grids, from a small store of the latest ones used."""
-        prepared = self._prepared.pop(submap.number, None) or PreparedSubmap(submap)
-        self._prepared[submap.number] = prepared
-        if len(self._prepared) > self.config.n_prepared:
-            self._prepared.popitem(last=False)
-        return prepared
+    def _search_points(self, source: Submap, window: SearchWindow) -> FloatArray:
+        """(m, 2) points to search with: fewer where all angles are."""
+        points = source.search_points
+        return (
+            points[:: 1 + len(points) // self.config.n_search_points_lost]
+            if window.is_full_circle
+            else points
+        )
 
     def _find_start(
         self, prepared: PreparedSubmap, source: Submap, T_predicted: FloatArray, window: SearchWindow
     ) -> FloatArray | str:
         """Search for the pose (3,) of the source that agrees best, if it is clearly better than any other."""
         config = self.config
-        points = source.search_points
-        if window.is_full_circle:
-            points = points[:: 1 + len(points) // config.n_search_points_lost]
+        points = self._search_points(source, window)
         most = prepared.config.occupied_score * len(points)
         start, second = np.empty(3), np.empty(3)
         score = self._search(prepared, points, T_predicted, window, None, config.min_score * most, start)

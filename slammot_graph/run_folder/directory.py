@@ -18,12 +18,14 @@ RUN_FILES = (
     "map.pgm",
     "map.yaml",
     "graph.g2o",
+    "map.slam",
     "covariances.npz",
     "run.rrd",
     "overview.png",
     "summary.json",
 )
-"""All that a run folder may hold; without a graph there is no ``graph.g2o``, without a recording no ``run.rrd``."""
+"""All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording
+no ``run.rrd``."""
 
 _FIRST_FILES = (
     "run.rrd",

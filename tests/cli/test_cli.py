@@ -90,7 +90,7 @@ def test_run_writes_a_run_folder(capsys: pytest.CaptureFixture[str], log: Path, 
     output = tmp_path / "deep" / "out"
     code, out, err = run(capsys, "run", log, "--output", output, "--rerun", "off", "--method", "odometry")
     assert code == 0
-    assert {path.name for path in output.iterdir()} == RUN_FILES - {"graph.g2o"}
+    assert {path.name for path in output.iterdir()} == RUN_FILES - {"graph.g2o", "map.slam"}
     stamps, T_map_base = read_trajectory(output / "trajectory.tum")
     np.testing.assert_allclose(stamps, 100.0 + 0.2 * np.arange(N_SCANS), atol=1e-6)
     np.testing.assert_allclose(T_map_base[-1], [0.1 * (N_SCANS - 1), 0.0, 0.0], atol=1e-6)
@@ -104,7 +104,9 @@ def test_run_writes_a_run_folder(capsys: pytest.CaptureFixture[str], log: Path, 
     assert rows["laser pose"] == "0 0 0 (x y yaw [m, m, rad]; the key laser_pose)"
     assert (rows["duration"], rows["path length"], rows["tracks"]) == ("2.2 s", "1.1 m", "0")
     assert rows["files"] == str(output)
-    names = ", ".join(name for name in directory.RUN_FILES if name not in ("graph.g2o", "run.rrd"))
+    names = ", ".join(
+        name for name in directory.RUN_FILES if name not in ("graph.g2o", "map.slam", "run.rrd")
+    )
     assert names in out
     assert {"skipped", "nodes", "loop closures", "ms per scan"} <= rows.keys()
     assert "box [1].npz" in out  # brackets in a name are no markup
@@ -435,7 +437,10 @@ def test_ctrl_c_writes_what_was_computed(
     assert code == 130
     assert signal.getsignal(signal.SIGINT) is handler
     assert f"interrupted after 6 scans; what was computed is in {tmp_path / 'out'}" in err
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {*RUN_FILES, "run.rrd"} - {"graph.g2o"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*RUN_FILES, "run.rrd"} - {
+        "graph.g2o",
+        "map.slam",
+    }
     assert len(read_trajectory(tmp_path / "out" / "trajectory.tum")[0]) == 6
 
 

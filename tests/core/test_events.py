@@ -93,3 +93,8 @@ def test_a_contradiction_and_its_end() -> None:
         ended = make_event("recovered", 20, after=after, n_scans=17, n_consistent=5)
         assert ended.text == f"recovered: {words}, 17 scans ago; 5 matches in a row agree again"
         assert ended.severity == "info"
+
+
+def test_a_robot_that_the_saved_map_does_not_show_is_lost() -> None:
+    event = make_event("lost", 7, cause="saved map", n_scans=40)
+    assert event.text.startswith("lost: for 40 scans the saved map has not shown what the robot sees")

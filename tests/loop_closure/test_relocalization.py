@@ -110,8 +110,8 @@ def test_closures_are_collected_until_they_agree_on_where_the_component_lies() -
     relocalization = Relocalization(CONFIG)
     closures = [closure_for(TRUE, source) for source in range(10, 10 + CONFIG.min_agreeing_alone)]
     for closure in closures[:-1]:
-        assert relocalization.collect(closure, NODES) is None
-    found = relocalization.collect(closures[-1], NODES)
+        assert relocalization.collect([closure], NODES) is None
+    found = relocalization.collect([closures[-1]], NODES)
     assert found is not None
     agreeing, T_map_new = found
     assert agreeing == closures
@@ -125,9 +125,9 @@ def test_closures_are_collected_until_they_agree_on_where_the_component_lies() -
 def test_a_robot_lost_again_begins_anew() -> None:
     relocalization = Relocalization(CONFIG)
     for source in range(10, 9 + CONFIG.min_agreeing_alone):
-        relocalization.collect(closure_for(TRUE, source), NODES)
+        relocalization.collect([closure_for(TRUE, source)], NODES)
     later = closure_for(TRUE, 20, component=2)
-    assert relocalization.collect(later, NODES) is None
+    assert relocalization.collect([later], NODES) is None
     assert relocalization.closures == [later]
     relocalization.join()
     assert relocalization.joined == {0, 2}

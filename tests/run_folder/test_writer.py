@@ -27,6 +27,7 @@ FILES = {
     "map.pgm",
     "map.yaml",
     "graph.g2o",
+    "map.slam",
     "covariances.npz",
     "summary.json",
 }
@@ -137,7 +138,7 @@ def test_a_vertex_names_its_scan(folder: Path) -> None:
 def test_without_a_graph_there_is_no_g2o(folder: Path) -> None:
     """Nor does one of an earlier run stay."""
     write_run_folder(folder, Run(drive(5), "odometry").complete())
-    assert {path.name for path in folder.iterdir()} == FILES - {"graph.g2o"}
+    assert {path.name for path in folder.iterdir()} == FILES - {"graph.g2o", "map.slam"}
     with np.load(folder / "covariances.npz") as file:
         assert file["node_scans"].shape == (0,)
 

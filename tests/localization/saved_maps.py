@@ -1,0 +1,98 @@
+"""Runs through simulated worlds, one after the other: the later ones start from the map of the first."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from slammot_graph import MapStart, Run, SavedMap
+from slammot_graph.core import se2
+from slammot_graph.core.results import RunResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
+from slammot_graph.simulation import SimulatedLog
+from slammot_graph.simulation.laser import LMS200, measure
+from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
+from tests.loop_closure.ring import ring_log
+from tests.rooms import box
+
+
+class Later:
+    """A log from a scan on, as if it began there."""
+
+    def __init__(self, log: SimulatedLog, first: int) -> None:
+        self.log, self.first = log, first
+
+    def __iter__(self) -> Iterator[Scan]:
+        for scan in self.log:
+            if scan.index >= self.first:
+                yield replace(scan, index=scan.index - self.first)
+
+
+@cache
+def ring_map() -> SavedMap:
+    saved = Run(ring_log(1)).complete().saved_map
+    assert saved is not None
+    return SavedMap.from_bytes(saved.to_bytes())
+
+
+@cache
+def second_ring(first: int, *, localize: bool, guess: tuple[float, float, float] | None = None) -> RunResult:
+    """Another drive round the ring, from a scan on, in the map of the first."""
+    pose = None if guess is None else np.array(guess)
+    start = MapStart(saved=ring_map(), localize=localize, initial_pose=pose)
+    return Run(Later(ring_log(2), first), start=start).complete()
+
+
+def true_in_map(first: int) -> FloatArray:
+    """(n, 3) true poses of the second drive in the frame of the first one's map."""
+    return se2.between(ring_log(1).T_world_base[0], ring_log(2).T_world_base[first:])
+
+
+def hotel(n_rooms: int) -> FloatArray:
+    """Walls (k, 4) of equal rooms along a corridor, with equal doors and beds, 5 m apart."""
+    walls = []
+    for k in range(n_rooms):
+        x = 5.0 * k
+        walls += [
+            [x, 2.0, x, 7.0],
+            [x, 7.0, x + 5.0, 7.0],
+            [x, 2.0, x + 2.0, 2.0],
+            [x + 3.0, 2.0, x + 5.0, 2.0],
+            *box(x + 3.4, 4.5, x + 5.0, 6.6),
+            *box(x, 5.6, x + 0.7, 7.0),
+        ]
+    end = 5.0 * n_rooms
+    walls += [[end, 0.0, end, 7.0], [0.0, 0.0, 0.0, 2.0], [0.0, 0.0, end, 0.0]]
+    return np.array(walls)
+
+
+@cache
+def hotel_log(rooms: tuple[int, ...], seed: int, n_rooms: int = 6) -> SimulatedLog:
+    """A drive from room to room; it begins inside the first of them."""
+    route: list[tuple[float, float]] = []
+    for k in rooms:
+        x = 5.0 * k + 2.5
+        route += [(x, 1.0), (x, 3.0), (x - 1.0, 4.5), (x + 0.2, 3.6), (x, 2.8), (x, 1.0)]
+    streams = np.random.default_rng(seed).spawn(3)
+    laser, nobody = LMS200.at_rate(5.0), np.empty((0, 3))
+    T_world_base = drive(
+        np.array(route[1:]), DriveConfig(max_speed_m_s=1.0, max_accel_m_s2=1.0), 0.2, streams[0]
+    )
+    n = len(T_world_base)
+    T_odom_base, _ = simulate_odometry(T_world_base, OdometryNoise(), streams[1], noise_scale=1.0)
+    ranges, hits = measure(
+        T_world_base, laser, hotel(n_rooms), np.broadcast_to(nobody, (n, 0, 3)), streams[2]
+    )
+    return SimulatedLog(
+        name="hotel",
+        laser=laser.model,
+        stamps=0.2 * np.arange(float(n)),
+        ranges=ranges,
+        T_odom_base=T_odom_base,
+        T_world_base=T_world_base,
+        is_moving=np.zeros(hits.shape, dtype=bool),
+        object_id=np.full(hits.shape, -1),
+        objects=np.empty((n, 0, 4)),
+    )
