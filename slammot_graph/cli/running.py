@@ -6,27 +6,22 @@ import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import tyro
-from rich.table import Table
 
 from slammot_graph.cli.console import (
     EXIT_INTERRUPTED,
     EXIT_OK,
-    N_REASONS,
     check_max_scans,
     command,
     figure_table,
     number,
-    odometry_rows,
     printed_deprecations,
     scan_progress,
-    source_rows,
     stderr,
     stdout,
     warn,
@@ -34,6 +29,7 @@ from slammot_graph.cli.console import (
 )
 from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice
 from slammot_graph.cli.logs import write_simulation
+from slammot_graph.cli.run_table import Outcome, run_table
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,10 +42,6 @@ if TYPE_CHECKING:
 DEMO_METHODS = ("odometry", "icp", "docpfo", "graph")
 DEMO_SEED = 0
 
-NIS_HINT = (
-    "about 3 is right; less: the odometry is better than its settings say, more: worse;"
-    " `slammot-graph calibrate` estimates them"
-)
 SHOWN = ("scan_topic", "odom_topic", "imu_topic", "odom_frame", "base_frame", "odometry")
 """What of the log's source the table shows."""
 
@@ -179,7 +171,7 @@ def run_command(
             " pose is the origin; drive farther, through places that the map has seen, or give --initial-pose",
             soft_wrap=True,
         )
-    stdout().print(_run_table(outcome))
+    stdout().print(run_table(outcome))
     if outcome.failure is not None:
         raise outcome.failure
     return EXIT_INTERRUPTED if outcome.was_interrupted else EXIT_OK
@@ -245,20 +237,7 @@ def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path
     return EXIT_OK
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Outcome:
-    """What a run left behind."""
-
-    result: "RunResult"
-    run: "Run"
-    log: "LaserLog"
-    output: Path
-    was_interrupted: bool
-    failure: Exception | None
-    """What ended the run, or went wrong at its end."""
-
-
-def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> _Outcome:
+def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> Outcome:
     """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
     from slammot_graph.run_folder.directory import claimed_output
 
@@ -289,7 +268,7 @@ def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> _
     if failures or was_interrupted:
         why = "interrupted after" if not failures else "done with all" if run.is_complete else "stopped after"
         stderr().print(f"{why} {n_scans} scans; what was computed is in {output}", soft_wrap=True)
-    return _Outcome(
+    return Outcome(
         result=result,
         run=run,
         log=log,
@@ -361,61 +340,6 @@ def _interrupt_flag() -> Iterator[Callable[[], bool]]:
         yield lambda: is_interrupted
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _run_table(outcome: _Outcome) -> Table:
-    import numpy as np
-
-    from slammot_graph.evaluation import path_length
-    from slammot_graph.logs import source_of
-    from slammot_graph.run_folder.directory import RUN_FILES
-
-    result, log = outcome.result, outcome.log
-    table = Table(title=f"{result.method} on {log.path.name}", show_header=False)
-    step_ms = result.stage_ms.get("step", np.zeros(0))
-    reasons = "; ".join(f"{scan.place}: {scan.reason}" for scan in log.skipped[:N_REASONS])
-    for name, text in source_rows(source_of(log)).items():
-        table.add_row(name, text)
-    table.add_row("scans", f"{len(result.stamps)}{_share_of_log(outcome)}")
-    table.add_row("skipped", f"{result.n_skipped}" + (f" ({reasons})" if reasons else ""))
-    table.add_row("duration", f"{np.ptp(result.stamps):.1f} s")
-    table.add_row("path length", f"{path_length(result.T_map_base):.1f} m")
-    table.add_row("failed matches", str(result.n_failed_matches))
-    table.add_row("tracks", str(len(np.unique(result.tracks[:, 1]))))
-    table.add_row("nodes", str(len(result.nodes)))
-    table.add_row("loop closures", str(sum(edge.kind == "closure" for edge in result.edges)))
-    if np.isfinite(result.nis).any():
-        table.add_row("mean NIS", f"{np.nanmean(result.nis):.2f} ({NIS_HINT})")
-    if step_ms.size:
-        median, p95 = np.percentile(step_ms, [50, 95])
-        table.add_row("ms per scan", f"{median:.2f} median, {p95:.2f} p95")
-    for name, text in odometry_rows(result.odometry).items():
-        table.add_row(name, text)
-    table.add_row("health", _health_cell(result))
-    if result.verdict:
-        table.add_row("verdict", "\n".join(f"{f.severity}: {f.text}" for f in result.verdict))
-    names = [name for name in RUN_FILES if (outcome.output / name).exists()]
-    table.add_row("files", f"{outcome.output}\n{', '.join(names)}")
-    return table
-
-
-def _health_cell(result: "RunResult") -> str:
-    """Count the scans of each state."""
-    import numpy as np
-
-    states, counts = np.unique(result.health, return_counts=True)
-    shown = sorted(zip(counts.tolist(), states.tolist(), strict=True), reverse=True)
-    return ", ".join(f"{state} {count}" for count, state in shown) or "-"
-
-
-def _share_of_log(outcome: _Outcome) -> str:
-    """Say so where not the whole log was run."""
-    result, max_scans, n_scans = outcome.result, outcome.run.max_scans, outcome.log.n_scans
-    if not outcome.run.is_complete:
-        return " (not the whole log)"
-    if max_scans is not None and n_scans is not None and len(result.stamps) + result.n_skipped < n_scans:
-        return f" (the first {max_scans} scans of {n_scans})"
-    return ""
 
 
 def _truth_cells(result: "RunResult", log: "LaserLog") -> list[str]:

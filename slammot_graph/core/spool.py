@@ -32,9 +32,12 @@ class Spool:
         self._file: IO[bytes] | None = None
         self._in_file = 0
         self._is_at_end = True
+        self._is_closed = False
 
     def add(self, data: bytes) -> int:
-        """Add some at the end; returns where they begin."""
+        """Add some at the end; returns where they begin. ValueError once it is closed."""
+        if self._is_closed:
+            raise ValueError("closed: nothing can be added")
         place = self.n_bytes
         self._latest += data
         self.n_bytes += len(data)
@@ -53,6 +56,7 @@ class Spool:
 
     def close(self) -> None:
         """Give the temporary file back."""
+        self._is_closed = True
         if self._file is not None:
             self._file.close()
 

@@ -63,8 +63,7 @@ class GraphInsertion:
         self.n_times_lost = 0
         self._n_submaps = 0
         self._was_blind = False
-        self._lost_cov = config.lost_cov
-        self._submap_config = config.closure.submap
+        self._config = config
         self._saved: SavedMap | None = None
 
     @property
@@ -94,7 +93,7 @@ class GraphInsertion:
         self._saved = saved = start.saved
         self.graph.load(saved.nodes, saved.edges)
         self.node_scans = [NOT_OF_THIS_RUN] * len(saved.nodes)
-        submaps = load_submaps(saved, self._submap_config)
+        submaps = load_submaps(saved, self._config.closure.submap)
         self._n_submaps = len(submaps)
         self.n_times_lost = first_component(saved)
         self.closer.start_from(submaps, saved.joined, start.initial_pose)
@@ -162,7 +161,7 @@ class GraphInsertion:
             if self.graph.try_edge("odometry", last, node, T_last_node, information) is None:
                 # a node needs an edge: by the matches, as weak as what is known of a lost robot
                 T_by_matches = se2.between(self.graph.pose(last), T_map_node)
-                self.graph.add_edge("odometry", last, node, T_by_matches, invert(self._lost_cov))
+                self.graph.add_edge("odometry", last, node, T_by_matches, invert(self._config.lost_cov))
             if self._was_blind and self.closer is not None:
                 self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
             self._was_blind = False
@@ -223,7 +222,7 @@ class GraphInsertion:
         if len(self.local_map.keyframes) > 1:
             unfinished = tuple(self.local_map.keyframes)
             submaps.append(
-                Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._submap_config)
+                Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._config.closure.submap)
             )
         component, old_scans, old_runs = 0, list[int](), tuple[SavedRun, ...]()
         if self._saved is not None:
@@ -265,4 +264,4 @@ class GraphInsertion:
 
     def _submap(self, keyframes: tuple[Keyframe, ...], path_m: float) -> Submap:
         self._n_submaps += 1
-        return Submap(self._n_submaps - 1, keyframes, path_m, self.n_times_lost, self._submap_config)
+        return Submap(self._n_submaps - 1, keyframes, path_m, self.n_times_lost, self._config.closure.submap)
