@@ -48,10 +48,9 @@ def experiment(options: Options) -> None:
         for source in SOURCES
     }
     with_poses = () if options.quick else WITH_POSES
-    folder = options.recorded("intel.clf.bz2").parents[1] / "ple"
     cells |= {
         f"{log} wheels": {
-            "log": str(folder / f"{log}-corrected.log.gz"),
+            "log": str(options.recorded(f"{log}-corrected.log.gz", "ple")),
             "relations": None,
             "source": "wheels",
             "max_scans": None,

@@ -67,11 +67,9 @@ class Options:
         """Seeds to run: `full` of them, or `quick`, or as asked for."""
         return range(self.seeds or (quick if self.quick else full))
 
-    def recorded(self, name: str) -> Path:
-        """Path of a recorded log's file; InputError if it is not there."""
-        named = os.environ.get("SLAMMOT_DATA")
-        folder = self.data or (Path(named) if named else ROOT.parent / "shared" / "data")
-        path = folder / "freiburg" / name
+    def recorded(self, name: str, collection: str = "freiburg") -> Path:
+        """Path of a recorded log's file in one of the folders of them; InputError if it is not there."""
+        path = data_folder(self.data) / collection / name
         if not path.is_file():
             raise InputError(
                 f"{path}: no such recorded log; set SLAMMOT_DATA or --data to the folder of them"
@@ -83,6 +81,12 @@ class Options:
         path = self.output / name
         path.mkdir(parents=True, exist_ok=True)
         return path
+
+
+def data_folder(data: Path | None) -> Path:
+    """Folder of the recorded logs: as asked for, else $SLAMMOT_DATA, else ../shared/data."""
+    named = os.environ.get("SLAMMOT_DATA")
+    return data or (Path(named) if named else ROOT.parent / "shared" / "data")
 
 
 def main(experiment: Callable[[Options], None], argv: list[str] | None = None) -> int:

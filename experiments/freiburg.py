@@ -1,6 +1,5 @@
 """Every method on every log with true relations, beside the published figures; what the loop closing did."""
 
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -12,7 +11,7 @@ from unittest.mock import patch
 import numpy as np
 import tyro
 
-from experiments.common import ROOT, Options, code_state, say
+from experiments.common import ROOT, Options, code_state, data_folder, say
 from experiments.tables import Table, provenance
 from slammot_graph import Run, open_log
 from slammot_graph.core import se2
@@ -200,15 +199,9 @@ def count_events(result: RunResult, *kinds: EventKind) -> int:
     return sum(event.kind in kinds for event in result.events)
 
 
-def data_folder(options: LoopOptions) -> Path:
-    """Folder of the recorded logs."""
-    named = os.environ.get("SLAMMOT_DATA")
-    return options.data or (Path(named) if named else ROOT.parent / "shared" / "data")
-
-
 def logs_with_relations(options: LoopOptions) -> dict[str, tuple[Path, Path]]:
     """Find the logs with true relations beside them: name to paths of log and relations, by name."""
-    folder = data_folder(options)
+    folder = data_folder(options.data)
     found = {}
     for relations in sorted(folder.rglob("*.relations")):
         name = relations.name.removesuffix(".relations")

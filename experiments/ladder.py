@@ -1,4 +1,4 @@
-"""From the paper's method to ours, one change a rung: what each brings."""
+"""From the paper's method to ours, one change a preset: what each brings."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -39,8 +39,8 @@ NO_KERNEL = PointToLineConfig(kernel_scale_m=10.0, fragile_pairs=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rung:
-    """A name, and what it changes of the rung before."""
+class Preset:
+    """A name, and what it changes of the preset before."""
 
     name: str
     change: str
@@ -53,8 +53,8 @@ def _config(method: str) -> PipelineConfig:
     return config
 
 
-def rungs() -> tuple[Rung, ...]:
-    """Give all rungs, the paper's method first, ours last."""
+def presets() -> tuple[Preset, ...]:
+    """Give all presets, the paper's method first, ours last."""
     paper, ours = _config("docpfo"), _config("graph")
     assert isinstance(paper.localizer, ScanToScanConfig)
     assert isinstance(paper.detector, EllipseDetectorConfig)
@@ -62,10 +62,10 @@ def rungs() -> tuple[Rung, ...]:
     assert isinstance(ours.detector, EllipseDetectorConfig)
     to_points: PointToPointConfig = replace(paper.localizer.point_to_point, max_gap_m=None)
     onto_map = ScanToLocalMapConfig(step=paper.localizer.step, matcher=to_points)
-    found = [Rung(name="docpfo", change="the paper's method", config=paper)]
+    found = [Preset(name="docpfo", change="the paper's method", config=paper)]
 
     def add(name: str, change: str, config: PipelineConfig) -> PipelineConfig:
-        found.append(Rung(name=name, change=change, config=config))
+        found.append(Preset(name=name, change=change, config=config))
         return config
 
     config = add(
@@ -125,10 +125,10 @@ def rungs() -> tuple[Rung, ...]:
     return tuple(found)
 
 
-def cell(scenario: str, seed: int, rung: str) -> Scores:
-    """Run one rung over one simulated log."""
+def cell(scenario: str, seed: int, preset: str) -> Scores:
+    """Run one preset over one simulated log."""
     log = measures.simulated(scenario, seed, rate_hz=RATE_HZ)
-    result = Run(log, config=_rung(rung)).complete()
+    result = Run(log, config=_preset(preset)).complete()
     return {
         **measures.trajectory_scores(result, log.T_world_base),
         **measures.point_scores(result.is_moving, log, result.is_valid),
@@ -137,10 +137,10 @@ def cell(scenario: str, seed: int, rung: str) -> Scores:
     }
 
 
-def recorded_cell(log: str, reference: str, seed: int, n_scans: int, rung: str) -> Scores:
-    """Run one rung over the first scans of a recorded log with people injected."""
+def recorded_cell(log: str, reference: str, seed: int, n_scans: int, preset: str) -> Scores:
+    """Run one preset over the first scans of a recorded log with people injected."""
     walkers = recorded.with_walkers(log, reference, N_PEOPLE, seed, n_scans)
-    result = Run(walkers, config=_rung(rung)).complete()
+    result = Run(walkers, config=_preset(preset)).complete()
     is_judged = result.is_valid & ~recorded.is_of_the_log(walkers, reference)
     relations = evaluate_relations(
         result.stamps, result.T_map_base, recorded.relations_of(log), max_duration_s=MAX_DURATION_S
@@ -160,21 +160,21 @@ def _without_people(log: SimulatedLog) -> SimulatedLog:
     return clean
 
 
-def _rung(name: str) -> PipelineConfig:
-    return next(rung.config for rung in rungs() if rung.name == name)
+def _preset(name: str) -> PipelineConfig:
+    return next(preset.config for preset in presets() if preset.name == name)
 
 
 def experiment(options: Options) -> None:
-    """Each rung from docpfo to graph on simulated logs, and on parts of recorded ones with people injected."""
-    names = [rung.name for rung in rungs()]
+    """Each preset from docpfo to graph on simulated logs, and on parts of recorded ones with people injected."""
+    names = [preset.name for preset in presets()]
     worlds = {"one-walker": 2} if options.quick else SCENARIOS
     n_scans = QUICK_SCANS if options.quick else N_SCANS
     seeds = {name: range(options.seeds or n) for name, n in worlds.items()}
     cells = {
-        f"{scenario} {seed} {rung}": {"scenario": scenario, "seed": seed, "rung": rung}
+        f"{scenario} {seed} {preset}": {"scenario": scenario, "seed": seed, "preset": preset}
         for scenario in worlds
         for seed in seeds[scenario]
-        for rung in names
+        for preset in names
     }
     scores = run_cells("ladder", cell, cells, options)
     tables = [_table(world, "ATE [m]", seeds[world], scores, world) for world in worlds]
@@ -183,51 +183,53 @@ def experiment(options: Options) -> None:
         reference = recorded.make_reference(log, options, n_scans)
         log_seeds = range(options.seeds or n)
         more = {
-            f"{log} {n_scans} {seed} {rung}": {
+            f"{log} {n_scans} {seed} {preset}": {
                 "log": path,
                 "reference": reference,
                 "seed": seed,
                 "n_scans": n_scans,
-                "rung": rung,
+                "preset": preset,
             }
             for seed in log_seeds
-            for rung in names
+            for preset in names
         }
         found = run_cells("ladder_recorded", recorded_cell, more, replace(options, fresh=False))
         title = f"relations under {MAX_DURATION_S:g} s [m]"
         tables.append(_table(log, title, log_seeds, found, f"{log} {n_scans}"))
     changes = Table(
-        heading="Rungs", columns=["rung", "change"], rows=[[rung.name, rung.change] for rung in rungs()]
+        heading="Presets",
+        columns=["preset", "change"],
+        rows=[[preset.name, preset.change] for preset in presets()],
     )
     notes = [
-        "Each rung changes one thing of the rung above it; the last one is `graph`. Median [95% bootstrap interval]"
+        "Each preset changes one thing of the preset above it; the last one is `graph`. Median [95% bootstrap interval]"
         f" over paired seeds: {', '.join(f'{name} {len(seeds[name])}' for name in worlds)}"
         + ("." if options.quick else f", {', '.join(f'{name} {n}' for name, n in LOGS.items())}.")
         + f" Simulated logs at {RATE_HZ:g} scans a second. Of the recorded logs the first {n_scans} scans, with"
         f" {N_PEOPLE} people put in: the error is the mean one of the true relations whose ends lie under"
         f" {MAX_DURATION_S:g} s apart, the map is compared with that of the scans without the people's beams at the"
-        " reference trajectory, which is a run of `graph` over the clean log. p: against the rung above, paired"
+        " reference trajectory, which is a run of `graph` over the clean log. p: against the preset above, paired"
         " Wilcoxon, two-sided, of the error. The marginal covariance is that of the front end, relative to the local"
         " map, which needs no graph."
     ]
     write_tables(
-        "ladder", "From the paper's method to graph, one change a rung", notes, [changes, *tables], options
+        "ladder", "From the paper's method to graph, one change a preset", notes, [changes, *tables], options
     )
 
 
 def _table(world: str, error: str, seeds: Sequence[int], scores: Mapping[str, Scores], key: str) -> Table:
     rows = []
     before: list[float] | None = None
-    for rung in rungs():
+    for preset in presets():
 
-        def column(name: str, rung: str = rung.name) -> list[float]:
-            return [scores[f"{key} {seed} {rung}"][name] for seed in seeds]
+        def column(name: str, preset: str = preset.name) -> list[float]:
+            return [scores[f"{key} {seed} {preset}"][name] for seed in seeds]
 
         errors = column("ate_m")
         texts = [median_interval(column(name), digits) for name, _, digits in COLUMNS]
-        rows.append([rung.name, *texts, "" if before is None else p_text(paired_p(errors, before))])
+        rows.append([preset.name, *texts, "" if before is None else p_text(paired_p(errors, before))])
         before = errors
-    columns = ["rung", error, *(title for _, title, _ in COLUMNS[1:]), "p"]
+    columns = ["preset", error, *(title for _, title, _ in COLUMNS[1:]), "p"]
     return Table(heading=f"{world}, {len(seeds)} seeds", columns=columns, rows=rows)
 
 

@@ -38,7 +38,7 @@ from slammot_graph.simulation import simulate
 
 sys.path += ["..", "."]  # the project's root, from here or as the working folder
 from experiments.figures import COLORS, SIGMAS_95, draw_ellipses, draw_map, view_of
-from experiments.ladder import rungs
+from experiments.ladder import presets
 from experiments.paper import draw_map_panel, draw_walker_panel, shown
 
 config = get_method("docpfo").config
@@ -234,21 +234,21 @@ axes[-1].legend(fontsize=8, loc="lower right")
 plt.show()
 
 # %% [markdown]
-# ## From the paper to `graph`, one change a rung
+# ## From the paper to `graph`, one change a preset
 #
-# Each rung below changes one thing of the one above it, and is nothing but a configuration. The same log, run by each:
-# the error of the trajectory, and how many of the beams called moving or truly on people are both.
+# Each preset below changes one thing of the one above it, and is nothing but a configuration. The same log, run by
+# each: the error of the trajectory, and how many of the beams called moving or truly on people are both.
 
 # %%
 errors_mm, ious = [], []
-for rung in rungs():
-    result = Run(log, config=rung.config).complete()
+for preset in presets():
+    result = Run(log, config=preset.config).complete()
     errors_mm.append(1000 * absolute_error(result.T_map_base, log.T_world_base).translation_m.rmse)
     ious.append(evaluate_points(result.is_moving, log.is_moving, result.is_valid).iou)
-    print(f"{rung.name:20} {errors_mm[-1]:6.1f} mm   IoU {ious[-1]:.2f}   {rung.change}")
+    print(f"{preset.name:20} {errors_mm[-1]:6.1f} mm   IoU {ious[-1]:.2f}   {preset.change}")
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True, layout="constrained")
-names = [rung.name for rung in rungs()]
+names = [preset.name for preset in presets()]
 for panel, values, label in zip(axes, (errors_mm, ious), ("ATE [mm]", "IoU of moving points"), strict=True):
     panel.barh(names, values, color=COLORS["estimate"])
     panel.set_xlabel(label)

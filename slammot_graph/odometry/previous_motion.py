@@ -96,14 +96,13 @@ class PreviousMotion:
     def __init__(self, config: PreviousMotionConfig) -> None:
         self.config = config
         self.by_stamps, self.by_count = Velocity(config), Velocity(config)
-        self._errors2 = np.zeros(2)  # mean squared ones by stamps and by count
+        self._error2_by_stamps = self._error2_by_count = 0.0  # means
         self._n_missed = 0
 
     @property
     def is_by_count(self) -> bool:
         """Whether the steps count as equal."""
-        by_stamps, by_count = self._errors2.tolist()
-        return bool(by_count < CLOCK_RATIO * by_stamps)
+        return self._error2_by_count < CLOCK_RATIO * self._error2_by_stamps
 
     @property
     def velocity(self) -> Velocity:
@@ -148,13 +147,10 @@ class PreviousMotion:
         """Take in an increment (3,) over the latest step that a match found, and its covariance (3, 3)."""
         gain = 0.0 if self._n_missed else self.config.gain
         if gain:
-            self._errors2 += CLOCK_GAIN * (
-                (
-                    prediction_error2(clock.step_s * self.by_stamps.value, increment, LEVER_M, CAP_M),
-                    prediction_error2(clock.usual_s * self.by_count.value, increment, LEVER_M, CAP_M),
-                )
-                - self._errors2
-            )
+            by_stamps = prediction_error2(clock.step_s * self.by_stamps.value, increment, LEVER_M, CAP_M)
+            by_count = prediction_error2(clock.usual_s * self.by_count.value, increment, LEVER_M, CAP_M)
+            self._error2_by_stamps += CLOCK_GAIN * (by_stamps - self._error2_by_stamps)
+            self._error2_by_count += CLOCK_GAIN * (by_count - self._error2_by_count)
         self.by_stamps.learn(increment, cov, clock.step_s, gain)
         self.by_count.learn(increment, cov, clock.usual_s, gain)
         self._n_missed = 0

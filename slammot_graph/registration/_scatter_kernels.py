@@ -6,6 +6,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.registration._pair_kernels import partner
 
 
 @kernel
@@ -39,8 +40,6 @@ def residual_scatter(
     ``owner[map point]`` lies at ``keyframes`` (k, 3) with an error of covariance ``root root'``, `roots` (k, 3, 3) in
     its body frame; the errors of different keyframes are taken as fully correlated, in the local frame's axes.
     """
-    mask = nearest.shape[0] - 1
-    wrap = map_points.shape[0] - 1
     by_keyframe = np.zeros((keyframes.shape[0], 3, 3))
     c = math.cos(T[2])
     s = math.sin(T[2])
@@ -59,14 +58,11 @@ def residual_scatter(
         py = points[k, 1]
         x = T[0] + c * px - s * py
         y = T[1] + s * px + c * py
-        number = nearest[math.floor(y * inv_cell) & mask, math.floor(x * inv_cell) & mask]
-        if number < first:
+        m = partner(x, y, map_points, nearest, inv_cell, first, reach2)
+        if m < 0:
             continue
-        m = number & wrap
         dx = x - map_points[m, 0]
         dy = y - map_points[m, 1]
-        if dx * dx + dy * dy > reach2:
-            continue
         nx = map_normals[m, 0]
         ny = map_normals[m, 1]
         if nx == 0.0 and ny == 0.0:

@@ -6,6 +6,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.registration._pair_kernels import partner
 
 
 @kernel
@@ -31,8 +32,6 @@ def accumulate_sweep(
     A point seen t seconds after the stamp moves with ``exp(pose + t velocity)`` (right perturbation, body frame): the
     row of a pair is ``[J, t J]``. Returns the sum of the weights.
     """
-    mask = nearest.shape[0] - 1
-    wrap = map_points.shape[0] - 1
     c = math.cos(T[2])
     s = math.sin(T[2])
     step = 1 if lasers.shape[0] > 1 else 0
@@ -48,14 +47,11 @@ def accumulate_sweep(
         py = points[k, 1]
         x = T[0] + c * px - s * py
         y = T[1] + s * px + c * py
-        number = nearest[math.floor(y * inv_cell) & mask, math.floor(x * inv_cell) & mask]
-        if number < first:
+        m = partner(x, y, map_points, nearest, inv_cell, first, reach2)
+        if m < 0:
             continue
-        m = number & wrap
         dx = x - map_points[m, 0]
         dy = y - map_points[m, 1]
-        if dx * dx + dy * dy > reach2:
-            continue
         nx = map_normals[m, 0]
         ny = map_normals[m, 1]
         n_rows = 1

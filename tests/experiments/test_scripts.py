@@ -94,7 +94,7 @@ def test_paper_judge(tmp_path: Path) -> None:
 
 
 def test_ladder(tmp_path: Path) -> None:
-    text = quick("ladder", tmp_path, [rung.name for rung in ladder.rungs()], "--seeds", "1")
+    text = quick("ladder", tmp_path, [preset.name for preset in ladder.presets()], "--seeds", "1")
     assert "one-walker, 1 seeds" in text
 
 

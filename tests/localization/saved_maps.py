@@ -12,8 +12,7 @@ from slammot_graph.core.results import RunResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation import SimulatedLog
-from slammot_graph.simulation.laser import LMS200, measure
-from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
+from tests.driven import driven
 from tests.loop_closure.ring import ring_log
 from tests.rooms import box
 
@@ -75,24 +74,4 @@ def hotel_log(rooms: tuple[int, ...], seed: int, n_rooms: int = 6) -> SimulatedL
     for k in rooms:
         x = 5.0 * k + 2.5
         route += [(x, 1.0), (x, 3.0), (x - 1.0, 4.5), (x + 0.2, 3.6), (x, 2.8), (x, 1.0)]
-    streams = np.random.default_rng(seed).spawn(3)
-    laser, nobody = LMS200.at_rate(5.0), np.empty((0, 3))
-    T_world_base = drive(
-        np.array(route[1:]), DriveConfig(max_speed_m_s=1.0, max_accel_m_s2=1.0), 0.2, streams[0]
-    )
-    n = len(T_world_base)
-    T_odom_base, _ = simulate_odometry(T_world_base, OdometryNoise(), streams[1], noise_scale=1.0)
-    ranges, hits = measure(
-        T_world_base, laser, hotel(n_rooms), np.broadcast_to(nobody, (n, 0, 3)), streams[2]
-    )
-    return SimulatedLog(
-        name="hotel",
-        laser=laser.model,
-        stamps=0.2 * np.arange(float(n)),
-        ranges=ranges,
-        T_odom_base=T_odom_base,
-        T_world_base=T_world_base,
-        is_moving=np.zeros(hits.shape, dtype=bool),
-        object_id=np.full(hits.shape, -1),
-        objects=np.empty((n, 0, 4)),
-    )
+    return driven("hotel", hotel(n_rooms), np.array(route[1:]), seed, noise_scale=1.0)

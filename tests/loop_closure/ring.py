@@ -8,8 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import RunResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.simulation import SimulatedLog
-from slammot_graph.simulation.laser import LMS200, measure
-from slammot_graph.simulation.robot import DriveConfig, OdometryNoise, drive, simulate_odometry
+from tests.driven import driven
 from tests.rooms import box
 
 WALLS = np.vstack(
@@ -34,24 +33,8 @@ CORNERS = [(3.0, 1.0), (19.0, 1.0), (19.0, 11.0), (1.0, 11.0), (1.0, 1.0)]
 @cache
 def ring_log(seed: int, *, noise_scale: float = 2.0) -> SimulatedLog:
     """One and a half laps at 5 scans a second; the odometry is worse than the simulator's usual."""
-    streams = np.random.default_rng(seed).spawn(3)
-    laser, none = LMS200.at_rate(5.0), np.empty((0, 3))
     route = np.array([*CORNERS, *CORNERS[1:3]])
-    T_world_base = drive(route, DriveConfig(max_speed_m_s=1.0, max_accel_m_s2=1.0), 0.2, streams[0])
-    n = len(T_world_base)
-    T_odom_base, _ = simulate_odometry(T_world_base, OdometryNoise(), streams[1], noise_scale=noise_scale)
-    ranges, hits = measure(T_world_base, laser, WALLS, np.broadcast_to(none, (n, 0, 3)), streams[2])
-    return SimulatedLog(
-        name="ring",
-        laser=laser.model,
-        stamps=0.2 * np.arange(float(n)),
-        ranges=ranges,
-        T_odom_base=T_odom_base,
-        T_world_base=T_world_base,
-        is_moving=np.zeros(hits.shape, dtype=bool),
-        object_id=np.full(hits.shape, -1),
-        objects=np.empty((n, 0, 4)),
-    )
+    return driven("ring", WALLS, route, seed, noise_scale=noise_scale)
 
 
 def true_path(log: SimulatedLog) -> FloatArray:
