@@ -35,6 +35,8 @@ class KissIcpConfig:
     map_spacing_m, match_spacing_m : float or None
         Sub-sampling of the scan for the map and for the match; None: as kiss-icp does it, by half a voxel, and
         of what that leaves by one and a half.
+    n_threads : int
+        Of its correspondence search; 0: one a core. The first pipeline of a process sets it for all that follow.
     odometry_noise : OdometryNoise
         Stands in for the covariance, which kiss-icp does not have.
     grid : GridConfig
@@ -48,6 +50,7 @@ class KissIcpConfig:
     fixed_threshold_m: float | None = 0.1
     map_spacing_m: float | None = 0.05
     match_spacing_m: float | None = 0.1
+    n_threads: int = 0
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
 
@@ -66,6 +69,8 @@ class KissIcpConfig:
                 raise ConfigError(f"{name} must be positive, not {value}")
         if self.max_points_per_voxel < 1:
             raise ConfigError(f"max_points_per_voxel must be at least 1, not {self.max_points_per_voxel}")
+        if self.n_threads < 0:
+            raise ConfigError(f"n_threads must be 0 or more, not {self.n_threads}")
 
 
 class KissIcpPipeline:
@@ -200,6 +205,7 @@ def _make_kiss_icp(config: KissIcpConfig) -> Any:
     kiss.data.deskew = False
     kiss.mapping.voxel_size = config.voxel_size_m
     kiss.mapping.max_points_per_voxel = config.max_points_per_voxel
+    kiss.registration.max_num_threads = config.n_threads
     kiss.adaptive_threshold.fixed_threshold = config.fixed_threshold_m
     icp = KissICP(kiss)
 

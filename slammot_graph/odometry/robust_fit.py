@@ -7,21 +7,14 @@ import numpy as np
 
 from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import FloatArray
-
-DOF = 4.0
-"""Degrees of freedom of Student's t: slips and wrong matches have heavy tails."""
-
-N_WIDE, N_STEPS = 2, 3
-"""Steps of a fit: so many at the scale of the residuals, and then so many at the scale given."""
+from slammot_graph.odometry import _fit_kernels
+from slammot_graph.odometry._fit_kernels import DOF
 
 SLOPE_OF_WEIGHTS = 0.75
 """Mean slope of Student's gradient over the mean weight, for normal residuals of its scale."""
 
 N_LAGS = 12
 """Rows that are further apart are independent."""
-
-MEDIAN_OF_SQUARES = 0.4549
-"""Of a standard normal variable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +23,10 @@ class RobustFit:
 
     Attributes
     ----------
-    x : (p,) array
-    information : (p, p) array
+    x : (2,) array
+    information : (2, 2) array
         Of the weighted squares, the prior's included.
-    scores : (n, p) array
+    scores : (n, 2) array
         Each row's part of the gradient of the cost.
     costs : (n,) array
         Negative log likelihood of each row.
@@ -58,30 +51,15 @@ def robust_fit(
     *,
     is_scale_given: bool = True,
 ) -> RobustFit:
-    """Fit ``y = A x`` under Student's t, with a Gaussian prior (mean, std) of x.
+    """Fit ``y = A x``, A (n, 2), under Student's t, with a Gaussian prior (mean, std) of the two parameters.
 
     The first steps widen the scale to that of the residuals: far from the solution nearly all of them are in the
     tails, which would hold it where it is. Where `std` is a lower bound of the scale only, all steps do.
     """
-    mean, prior_std = prior
-    prior_information = np.diag(prior_std**-2.0)
-    x: FloatArray = mean
-    information: FloatArray = prior_information
-    residuals = y - A @ x
-    for step in range(N_WIDE + N_STEPS):
-        scaled2 = np.square(residuals / std)
-        wide2 = 1.0
-        if step < N_WIDE or not is_scale_given:
-            wide2 = max(float(np.median(scaled2)) / MEDIAN_OF_SQUARES, 1.0)
-        var = np.square(std) * (1.0 if is_scale_given else wide2)
-        weights = (DOF + 1.0) / (DOF + scaled2 / wide2) / var
-        weighted = A * weights[:, None]
-        information = weighted.T @ A + prior_information
-        x = np.asarray(np.linalg.solve(information, weighted.T @ y + prior_information @ mean))
-        residuals = y - A @ x
-    scaled2 = np.square(residuals / std)
-    scores = A * (weights * residuals)[:, None]
-    return RobustFit(x, information, scores, 0.5 * (DOF + 1.0) * np.log1p(scaled2 / DOF))
+    n = len(y)
+    x, information, scores, costs = np.empty(2), np.empty((2, 2)), np.empty((n, 2)), np.empty(n)
+    _fit_kernels.fit_two(A, y, std, *prior, is_scale_given, x, information, scores, costs)
+    return RobustFit(x, information, scores, costs)
 
 
 def stds_of(fit: RobustFit, prior_std: FloatArray, n_series: int = 1) -> list[float]:
