@@ -19,7 +19,7 @@ from slammot_graph.core.results import RunResult, StepResult
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
-from slammot_graph.diagnosis import RunStatistics, as_mounted, diagnose, limits_of
+from slammot_graph.diagnosis import RunStatistics, as_mounted, diagnose, findings_of_map, limits_of
 from slammot_graph.kept_scans import KeptScan, KeptScans
 from slammot_graph.logs import describe
 from slammot_graph.logs.source import SkippedScan
@@ -271,7 +271,10 @@ class Run:
             failures=tuple(f"{what}: {error}" for what, error in outcome.failures.items()),
             health=np.array([scan.health for scan in scans], dtype="<U13"),
             odometry=report,
-            verdict=diagnose(session.statistics, report, log.warnings),
+            verdict=(
+                *diagnose(session.statistics, report, log.warnings),
+                *findings_of_map(outcome.grid, self.config.grid.resolution_m),
+            ),
             laser=np.array([scan.laser for scan in scans], dtype=np.int64),
             saved_map=final.saved_map,
         )

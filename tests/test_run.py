@@ -16,7 +16,7 @@ from slammot_graph.detection.no_detection import NoDetectionConfig
 from slammot_graph.graph import PoseGraph
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.logs.source import SkippedScan
-from slammot_graph.mapping.tiled_grid import PartialMapError, TiledGrid
+from slammot_graph.mapping.tiled_grid import TiledGrid
 from slammot_graph.methods import METHODS
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.registration.point_to_line import PointToLineConfig
@@ -370,16 +370,14 @@ def test_whoever_leaves_a_run_early_is_told_that_its_end_failed(monkeypatch: pyt
     assert len(run.result().T_map_base) == 1
 
 
-def test_a_map_too_large_is_cut_and_told_and_the_rest_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_map_too_large_gets_larger_cells_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = Run(drive(20)).complete()
     assert TiledGrid.to_map.__defaults__ is not None
     monkeypatch.setattr(TiledGrid.to_map, "__defaults__", (20_000,))
-    run = Run(drive(20))
-    with pytest.raises(PartialMapError, match="look for a leap in the trajectory"):
-        run.complete()
-    result = run.result()
-    assert not result.is_complete
-    assert [text.split(":")[0] for text in result.failures] == ["map"]
+    result = Run(drive(20)).complete()
+    assert result.is_complete
+    assert [finding.kind for finding in result.verdict] == ["map resolution"]
+    assert "cells of 0.2 m" in result.verdict[0].text
     assert result.grid.resolution_m > plain.grid.resolution_m
     np.testing.assert_array_equal(result.is_moving, plain.is_moving)
     np.testing.assert_array_equal(result.T_map_base, plain.T_map_base)

@@ -34,6 +34,7 @@ FindingKind = Literal[
     "stamps",
     "beam times",
     "frames",
+    "map resolution",
 ]
 
 RANKS: Mapping[Severity, int] = {"error": 0, "warning": 1, "info": 2}

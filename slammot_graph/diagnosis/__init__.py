@@ -9,7 +9,7 @@ Imports `core`, `logs`, `registration`, `detection`, `localization`, `pipeline_c
 from slammot_graph.diagnosis.checking import CheckReport, as_mounted, check_log
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics, inspect_first, limits_of
 from slammot_graph.diagnosis.statistics import RunStatistics
-from slammot_graph.diagnosis.verdict import diagnose
+from slammot_graph.diagnosis.verdict import diagnose, findings_of_map
 
 __all__ = [
     "CheckReport",
@@ -19,6 +19,7 @@ __all__ = [
     "as_mounted",
     "check_log",
     "diagnose",
+    "findings_of_map",
     "inspect_first",
     "limits_of",
 ]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from slammot_graph.core.findings import Finding, FindingKind, worst_first
 from slammot_graph.core.odometry_report import Estimated, OdometryReport
+from slammot_graph.core.results import GridMap
 from slammot_graph.diagnosis.inspect import N_FIRST_SCANS
 from slammot_graph.diagnosis.odometry import n_times
 from slammot_graph.diagnosis.statistics import RunStatistics
@@ -66,6 +67,26 @@ def diagnose(
     found += _of_blindness(statistics.blind)
     found += _of_warnings(log_warnings, {finding.kind for finding in found})
     return worst_first(found)
+
+
+def findings_of_map(grid: GridMap, resolution_m: float) -> list[Finding]:
+    """Say that the map has larger cells than asked for, as it would have too many."""
+    if grid.resolution_m <= 1.01 * resolution_m:
+        return []
+    rows, columns = grid.p_occupied.shape
+    height_m, width_m = grid.resolution_m * rows, grid.resolution_m * columns
+    return [
+        Finding(
+            kind="map resolution",
+            severity="info",
+            cause=(
+                f"what was seen spans {width_m:.0f} x {height_m:.0f} m, too much for one picture of cells of"
+                f" {resolution_m:g} m: the map has cells of {grid.resolution_m:g} m"
+            ),
+            remedy="",
+            data={"resolution_m": grid.resolution_m, "width_m": width_m, "height_m": height_m},
+        )
+    ]
 
 
 def _of_blindness(blind: Sequence[tuple[int, str]]) -> list[Finding]:

@@ -105,13 +105,13 @@ class TiledGrid:
             tile[i, j] = np.where(value > self.window.l_occupied, value, np.fmin(value, free))
 
     def to_map(self, most_cells: int = MOST_CELLS) -> GridMap:
-        """Give the map of all that was seen.
+        """Give the map of all that was seen; with larger cells where it would have more than `most_cells`.
 
         Raises
         ------
         PartialMapError
-            It would have more than `most_cells` cells: the part that is connected and of which most was seen is
-            given, with larger cells if need be.
+            It would have more than `most_cells` cells, and what was seen is not connected: the part of which most was
+            seen is given.
         """
         self._put_all_aside()
         if not self._tiles:
@@ -128,6 +128,8 @@ class TiledGrid:
         while _n_cells(part) > most_cells * factor**2:
             factor *= 2
         grid = self._dense(part, factor)
+        if len(parts) == 1:
+            return grid
         share = max(seen) / sum(seen)
         raise PartialMapError(
             f"what was seen spans {extent_m[0]:.0f} x {extent_m[1]:.0f} m, too much for one picture of cells of"
