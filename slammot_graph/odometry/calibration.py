@@ -45,7 +45,11 @@ class CalibrationConfig(Checked):
     offset_step_s : float
         Step of the search, refined to a fifth.
     min_gain : float
-        Natural logarithm of the likelihood ratio against no offset at which an offset is believed.
+        Natural logarithm of the likelihood ratio against no offset at which an offset is believed ...
+    min_sigma, min_sigma_kept : float
+        ... if that is so many of its standard deviations (Vuong 1989, with neighbours that go together); and of one
+        that was believed before. Down a corridor the matches err for many scans in a row, which some offset always
+        happens to explain.
     window_m : float
         Increments are joined until they are about this long, so that scales stand out of the noise ...
     max_window : int
@@ -69,6 +73,8 @@ class CalibrationConfig(Checked):
     max_offset_s: Positive = 0.6
     offset_step_s: Positive = 0.05
     min_gain: Positive = 12.0
+    min_sigma: Positive = 2.5
+    min_sigma_kept: Positive = 1.0
     window_m: Positive = 0.4
     max_window: Count = 8
     min_turn_rad: Positive = 0.08
@@ -210,25 +216,32 @@ class SelfCalibration:
         step = config.offset_step_s
         n = round(config.max_offset_s / step)
         coarse = step * np.arange(-n, n + 1)
-        costs = np.array([self._offset_costs(rows, offset, history).sum() for offset in coarse])
-        best = coarse[int(np.argmin(costs))]
+        costs = np.array([self._offset_costs(rows, offset, history) for offset in coarse])
+        best = coarse[int(np.argmin(costs.sum(axis=1)))]
         fine = best + 0.2 * step * np.arange(-5, 6)
-        costs_of_rows = np.array([self._offset_costs(rows, offset, history) for offset in fine])
-        fine_costs = costs_of_rows.sum(axis=1)
+        fine_costs_of_rows = np.array([self._offset_costs(rows, offset, history) for offset in fine])
+        fine_costs = fine_costs_of_rows.sum(axis=1)
         k = int(np.clip(np.argmin(fine_costs), 1, len(fine) - 2))
         curvature = (fine_costs[k - 1] - 2.0 * fine_costs[k] + fine_costs[k + 1]) / (0.2 * step) ** 2
         std = math.inf
         if curvature > 1.0:
-            slopes = (costs_of_rows[k + 1] - costs_of_rows[k - 1]) / (0.4 * step)
+            slopes = (fine_costs_of_rows[k + 1] - fine_costs_of_rows[k - 1]) / (0.4 * step)
             spread = float(long_run_variance(slopes[:, None])[0, 0])
             std = max(1.0 / math.sqrt(curvature), math.sqrt(spread) / curvature)
         # What is left of the smoothing by interpolation favours both signs alike: an offset must beat its opposite too.
-        opposite = float(self._offset_costs(rows, -float(fine[k]), history).sum())
-        if min(costs[n], opposite) - fine_costs.min() < config.min_gain:
+        opposite = self._offset_costs(rows, -float(fine[k]), history)
+        if not all(self._is_clear(other - fine_costs_of_rows[k]) for other in (costs[n], opposite)):
             return Estimated(value=0.0, std=std)
         slope = (fine_costs[k + 1] - fine_costs[k - 1]) / (0.4 * step)
         value = fine[k] - (slope / curvature if curvature > 1.0 else 0.0)
         return Estimated(value=float(np.clip(value, fine[k - 1], fine[k + 1])), std=std)
+
+    def _is_clear(self, gains: FloatArray) -> bool:
+        """Tell whether the gains in log likelihood (n,) of an offset, row by row, are more than chance."""
+        config = self.config
+        n_sigma = config.min_sigma_kept if self.now.clock_offset_s.value else config.min_sigma
+        std = math.sqrt(max(float(long_run_variance(gains[:, None])[0, 0]), 0.0))
+        return float(gains.sum()) > max(config.min_gain, n_sigma * std)
 
     def _without_excluded(self, rows: FloatArray) -> FloatArray:
         """Rows that no excluded increment can reach at any clock offset."""
