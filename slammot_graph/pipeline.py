@@ -24,6 +24,7 @@ from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.blind_scans import BlindScans
 from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
+from slammot_graph.mapping.changes import Changes
 from slammot_graph.mapping.final_map import MapScan, render_final_map
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
@@ -187,6 +188,18 @@ class Pipeline:
             if is_moving.any()
         ]
         return np.concatenate([np.empty((0, 2)), *found])
+
+    def changed_points(
+        self, T_map_base: FloatArray, changes: Changes, labels: Sequence[BoolArray] | None = None
+    ) -> list[BoolArray]:
+        """Tell which static points of all scans are of what is new; poses (n, 3) and labels as of `render_map`."""
+        n = min(len(self._history), len(T_map_base))
+        found = []
+        for k in range(n):
+            seen = self._history[k]
+            is_static = seen.is_valid & ~(seen.is_moving if labels is None else labels[k])
+            found.append(is_static & changes.are_new(seen.scan.points(T_map_base[k])))
+        return found
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""

@@ -1,5 +1,7 @@
 """Graph insertion: which keyframes become nodes, by which factors they are tied, and when loops are looked for."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from slammot_graph.core import se2
@@ -217,16 +219,21 @@ class GraphInsertion:
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
 
     def saved_map(self, nodes: FloatArray, path_m: float, report: OdometryReport) -> SavedMap:
-        """Give all local maps, the unfinished one too, and the graph with its optimised poses (n, 3)."""
+        """Give all local maps, the unfinished one too, and the graph with its optimised poses (n, 3).
+
+        The last `n_spare` of them show known places, in a run that started from a saved map.
+        """
         submaps = [] if self.closer is None else list(self.closer.submaps)
         if len(self.local_map.keyframes) > 1:
             unfinished = tuple(self.local_map.keyframes)
             submaps.append(
                 Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._config.closure.submap)
             )
-        component, old_scans, old_runs = 0, list[int](), tuple[SavedRun, ...]()
+        submaps += [] if self.closer is None else self.closer.known
+        component, old_scans, old_runs, edits = 0, list[int](), tuple[SavedRun, ...](), tuple[str, ...]()
         if self._saved is not None:
-            component, old_runs = first_component(self._saved), self._saved.runs
+            component, edits = first_component(self._saved), self._saved.edits
+            old_runs = tuple(replace(run, first_scan=NOT_OF_THIS_RUN) for run in self._saved.runs)
             old_scans = self._saved.node_scans.tolist()
         run = SavedRun(first_node=self._n_saved, component=component, odometry=calibration_of(report))
         return save_submaps(
@@ -236,7 +243,21 @@ class GraphInsertion:
             edges=tuple(self.graph.edges),
             joined=tuple({0} if self.closer is None else self.closer.relocalization.joined),
             runs=(*old_runs, run),
+            edits=edits,
         )
+
+    @property
+    def n_spare(self) -> int:
+        """How many local maps at the end of the saved ones show known places."""
+        return 0 if self.closer is None else len(self.closer.known)
+
+    def earlier_map(self, nodes: FloatArray) -> SavedMap | None:
+        """Give the map that the run started from, its nodes corrected; None unless all of the run lies in it."""
+        if self._saved is None or self.closer is None:
+            return None
+        own = set(range(first_component(self._saved), self.n_times_lost + 1))
+        is_placed = own <= self.closer.relocalization.joined
+        return replace(self._saved, nodes=nodes[: len(self._saved.nodes)]) if is_placed else None
 
     def start_component(self, path_m: float, *, is_known: bool = False) -> None:
         """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.

@@ -100,7 +100,7 @@ class InSavedMap(ScanToMap):
         self._T_local_keyframe: FloatArray = se2.IDENTITY
         self._sure_at: tuple[float, int] = (0.0, 0)
         self._poses = array("d")
-        self._parts: list[tuple[int, FloatArray]] = [(0, se2.IDENTITY)]
+        self._parts: list[tuple[int, FloatArray | None]] = [(0, None)]
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
@@ -111,7 +111,7 @@ class InSavedMap(ScanToMap):
             if self.insertion.is_placed:
                 self._enter(scan.index)
             elif committed.is_lost:
-                self._parts.append((len(self._poses) // 12, se2.IDENTITY))
+                self._parts.append((len(self._poses) // 12, None))
         estimate = self._estimate()
         self._poses.extend(estimate.T_local_base.tolist() + estimate.cov_absolute.ravel().tolist())
         return committed
@@ -126,14 +126,17 @@ class InSavedMap(ScanToMap):
         T_map_base = numbers[:, :3].copy()
         ends = [first for first, _ in self._parts[1:]] + [len(numbers)]
         for (first, T_map_local), end in zip(self._parts, ends, strict=True):
-            T_map_base[first:end] = se2.compose(T_map_local[None, :], numbers[first:end, :3])
+            if T_map_local is not None:
+                T_map_base[first:end] = se2.compose(T_map_local[None, :], numbers[first:end, :3])
         saved = self._start.saved
+        is_placed = all(T_map_local is not None for _, T_map_local in self._parts)
         return FinalEstimate(
             T_map_base=T_map_base,
             cov_map=numbers[:, 3:].reshape(-1, 3, 3),
             node_scans=np.full(len(saved.nodes), NOT_OF_THIS_RUN),
             nodes=saved.nodes,
             edges=saved.edges,
+            earlier=saved if is_placed else None,
         )
 
     def _estimate(self) -> Estimate:
@@ -227,7 +230,7 @@ class InSavedMap(ScanToMap):
     def _leave(self) -> None:
         """Look for the robot again, with nothing known of the motion since."""
         self.is_found = False
-        self._parts.append((len(self._poses) // 12, se2.IDENTITY))
+        self._parts.append((len(self._poses) // 12, None))
         self._sweep_end = None
         self.propagation.lose_track(self.config.lost_cov, self.config.lost_distance_m)
         self.local_map.start([])

@@ -201,6 +201,8 @@ class ScanToMap:
             nodes=nodes,
             edges=tuple(self.graph.edges),
             saved_map=self.insertion.saved_map(nodes, self.propagation.path_m, self.odometry_report()),
+            n_spare=self.insertion.n_spare,
+            earlier=self.insertion.earlier_map(nodes),
         )
 
     def close(self) -> None:

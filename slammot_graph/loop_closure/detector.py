@@ -48,6 +48,10 @@ class LoopCloser:
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     finder : PlaceFinder or None
         Looks all over a saved map that the run started from.
+    known : list of Submap
+        Those that showed a known place, of a run that started from a saved map.
+    first_nodes : dict of int to int
+        First node of a component, where it is not that of its first local map.
     """
 
     def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig, graph: PoseGraph) -> None:
@@ -61,6 +65,8 @@ class LoopCloser:
         self.is_known = False
         self.blind_drives: list[tuple[int, FloatArray]] = []
         self.finder: PlaceFinder | None = None
+        self.known: list[Submap] = []
+        self.first_nodes: dict[int, int] = {}
 
     def start_from(
         self, submaps: list[Submap], joined: tuple[int, ...], initial_pose: FloatArray | None
@@ -119,6 +125,8 @@ class LoopCloser:
                 self.is_known = self.is_known or closure.overlap >= self.config.known_overlap
         if self.is_known:
             self.submaps.remove(submap)
+            if self.finder is not None:
+                self.known.append(submap)
         if changed:
             dropped = {id(edge) for edge, _ in self.graph.dropped}
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
@@ -165,6 +173,7 @@ class LoopCloser:
         component = closure.source.component
         anchors = [submap.anchor for submap in self.submaps if submap.component == component]
         first = min([*anchors, *(one.source.anchor for one in agreeing)])
+        first = self.first_nodes.get(component, first)
         nodes[first:] = se2.compose(T_map_new[None, :], nodes[first:])
         # of local maps that went on growing the last one tells all
         self._add_edges(list({(one.source.anchor, one.target.anchor): one for one in agreeing}.values()))
