@@ -1,7 +1,8 @@
 """What has changed in a building since its map was made: what stands where nothing was, and what is there no more.
 
 A cell has changed where one map saw it free and the other one occupied, and where the other one has nothing occupied
-near it, as the two maps lie beside each other by a few centimetres. A few such cells must lie together.
+near it, as the two maps lie beside each other by a few centimetres. A few such cells must lie together; with them go
+those beside them that lie nearer to what the other map shows.
 """
 
 from collections.abc import Sequence
@@ -17,8 +18,11 @@ from slammot_graph.mapping.saved_grid import aligned
 APART_M = 0.15
 """What stands no farther from where something stood has not moved."""
 
-LEAST_CELLS = 3
-"""So many changed cells lie together at least."""
+NEXT_M = 0.06
+"""Nor has what stands no farther from it than this, even beside what has."""
+
+LEAST_CELLS, TOGETHER_M = 3, 0.2
+"""So many changed cells lie together at least, and how near to each other they do."""
 
 BESIDE_M = 0.08
 """Points this near to a changed cell are of it."""
@@ -92,8 +96,8 @@ def find_changes(before: GridMap, now: GridMap) -> Changes:
         is_free, is_occupied = p_now < FREE_BELOW, p_now > OCCUPIED_ABOVE
     resolution_m = now.resolution_m
     return Changes(
-        is_new=_together(is_occupied & was_free & ~_grown(was_occupied, APART_M, resolution_m)),
-        is_gone=_together(was_occupied & is_free & ~_grown(is_occupied, APART_M, resolution_m)),
+        is_new=_apart(is_occupied & was_free, was_occupied, resolution_m),
+        is_gone=_apart(was_occupied & is_free, is_occupied, resolution_m),
         low=low,
         resolution_m=resolution_m,
     )
@@ -129,12 +133,15 @@ def covering_all(cells_of: Sequence[IntArray], is_taken: BoolArray) -> BoolArray
     return chosen
 
 
-def _together(mask: BoolArray) -> BoolArray:
-    """Leave out groups of too few cells."""
-    group, n = ndimage.label(mask, structure=np.ones((3, 3)))
-    sizes = np.bincount(group.ravel(), minlength=n + 1)
-    sizes[0] = 0
-    return np.asarray(sizes[group] >= LEAST_CELLS)
+def _apart(mask: BoolArray, other: BoolArray, resolution_m: float) -> BoolArray:
+    """Keep the groups of cells of which enough are far from what the other map shows."""
+    away_m = (
+        ndimage.distance_transform_edt(~other) * resolution_m if other.any() else np.full(mask.shape, np.inf)
+    )
+    weak = mask & (away_m > NEXT_M)
+    group, n = ndimage.label(_grown(weak, 0.5 * TOGETHER_M, resolution_m), structure=np.ones((3, 3)))
+    sizes = np.bincount(group[mask & (away_m > APART_M)], minlength=n + 1)
+    return np.asarray(weak & (sizes[group] >= LEAST_CELLS))
 
 
 def _grown(mask: BoolArray, by_m: float, resolution_m: float) -> BoolArray:
