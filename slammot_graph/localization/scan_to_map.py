@@ -145,6 +145,7 @@ class ScanToMap:
                 node = insertion.add_node(scan.index, state.T_local_base, T_odom_base, self._match)
             if has_points:
                 closures = self._add_keyframe(node, scan, points_base, is_static)
+        closures += insertion.search_on()
         self._attach()
         propagation.commit(None if is_lost else self._matched_pose())
         return CommitResult(

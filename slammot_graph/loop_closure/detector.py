@@ -48,7 +48,7 @@ class LoopCloser:
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     finder : PlaceFinder or None
         Looks all over a saved map that the run started from.
-    known : list of Submap
+    known : list of Submap or None
         Those that showed a known place, of a run that started from a saved map.
     first_nodes : dict of int to int
         First node of a component, where it is not that of its first local map.
@@ -65,7 +65,7 @@ class LoopCloser:
         self.is_known = False
         self.blind_drives: list[tuple[int, FloatArray]] = []
         self.finder: PlaceFinder | None = None
-        self.known: list[Submap] = []
+        self.known: list[Submap] | None = None
         self.first_nodes: dict[int, int] = {}
 
     def start_from(
@@ -76,27 +76,36 @@ class LoopCloser:
         A component that is not joined is looked for all over the map from now on; the first one near a pose (3,) where
         one is given.
         """
-        self.submaps = list(submaps)
+        self.submaps, self.known = list(submaps), []
         self.relocalization.joined = set(joined)
         targets = [submap for submap in submaps if submap.component in joined]
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), initial_pose)
 
     def is_sought(self, component: int) -> bool:
-        """Tell whether a component's place in the saved map is looked for and not found yet."""
+        """Tell whether a component's place is looked for all over the map and not found yet."""
         return self.finder is not None and component not in self.relocalization.joined
 
     def seek(self, source: Submap) -> tuple[ClosureAttempt, ...]:
-        """Look all over the saved map for a local map, which may be unfinished; returns what was tried."""
-        if self.finder is None:
+        """Look all over the map for a local map, which may be unfinished; returns what was tried."""
+        return () if self.finder is None else self._try(self.finder.find(source, self.graph.poses()))
+
+    def request(self, source: Submap) -> None:
+        """Let a local map be looked for all over the map, by `search_on` step by step."""
+        if self.finder is not None:
+            self.finder.request(source, self.graph.poses())
+
+    def search_on(self) -> tuple[ClosureAttempt, ...]:
+        """Take the search for a local map a step further; returns what was tried."""
+        return () if self.finder is None else self._try(self.finder.go_on())
+
+    def _try(self, found: list[Closure]) -> tuple[ClosureAttempt, ...]:
+        if not found or self.finder is None:
             return ()
-        nodes = self.graph.poses()
-        found = self.finder.find(source, nodes)
-        if not found:
-            return ()
-        attempts = [self.relocalize(found, nodes)]
+        attempts = [self.relocalize(found, self.graph.poses())]
         if attempts[0].status == "accepted":
             attempts += self.reject_outliers()
             self.finder.initial_pose = None
+            self.finder.forget()
         return tuple(attempts)
 
     def consider(self, submap: Submap) -> tuple[ClosureAttempt, ...]:
@@ -125,14 +134,12 @@ class LoopCloser:
                 self.is_known = self.is_known or closure.overlap >= self.config.known_overlap
         if self.is_known:
             self.submaps.remove(submap)
-            if self.finder is not None:
+            if self.known is not None:
                 self.known.append(submap)
         if changed:
             dropped = {id(edge) for edge, _ in self.graph.dropped}
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
-        if self.is_sought(submap.component):
-            attempts += self.seek(submap)
         return tuple(attempts)
 
     def decide(

@@ -104,6 +104,8 @@ def _join(first: SavedMap, second: SavedMap, config: ScanToMapConfig) -> SavedMa
         for submap in own:
             n_before += closer.is_sought(component)
             closer.consider(submap)
+            if closer.is_sought(component):
+                closer.seek(submap)
         if closer.is_sought(component):
             return None
         tied = {edge.to_node for _, edge in closer.accepted}
