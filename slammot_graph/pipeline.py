@@ -36,6 +36,10 @@ from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, sm
 __all__ = ["Pipeline", "PipelineConfig"]
 
 
+FEW_BYTES = 2 << 20
+"""So much of its scans a run keeps in memory that only localizes, and may go on for days."""
+
+
 class Pipeline:
     """Localizes, maps and detects moving objects, one scan at a time; a context manager that closes itself.
 
@@ -70,7 +74,8 @@ class Pipeline:
         self.tracker = make_tracker(config.tracker)
         self.health = HealthMonitor()
         self._blind_scans = BlindScans()
-        self._history = ScanHistory()
+        is_kept_flat = start is not None and start.localize
+        self._history = ScanHistory(FEW_BYTES) if is_kept_flat else ScanHistory()
         self._sightings = SightingHistory()
         self._stamps = array("d")
         self._stopwatch = Stopwatch()

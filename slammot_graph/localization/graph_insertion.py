@@ -281,6 +281,8 @@ class GraphInsertion:
         self.n_times_lost += not is_known
         self._was_blind = is_known
         self.local_map.start([])
+        if self.closer is not None and not is_known:
+            self.closer.look_all_over()
 
     def _seeks_early(self) -> bool:
         """Tell whether to look for the first local map of a component before it is finished."""
