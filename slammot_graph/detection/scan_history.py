@@ -62,8 +62,8 @@ class ScanHistory(Sequence[ScanRecord]):
 
     Parameters
     ----------
-    most_in_memory : int
-        Beyond this [bytes] they are many.
+    most_in_memory : int, optional
+        Beyond this [bytes] they are many; by default `MOST_IN_MEMORY`.
 
     Attributes
     ----------
@@ -72,12 +72,12 @@ class ScanHistory(Sequence[ScanRecord]):
         Which of the robot's lasers took each.
     """
 
-    def __init__(self, most_in_memory: int = MOST_IN_MEMORY) -> None:
+    def __init__(self, most_in_memory: int | None = None) -> None:
         self._lasers: list[LaserModel] = []
         self._places = array("q")
         self.stamps = array("d")
         self.laser_numbers = array("q")
-        self._spool = Spool(most_in_memory)
+        self._spool = Spool(MOST_IN_MEMORY if most_in_memory is None else most_in_memory)
 
     def append(
         self,
