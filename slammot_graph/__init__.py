@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from slammot_graph.methods import METHODS, get_method
     from slammot_graph.pipeline import Pipeline, PipelineConfig
     from slammot_graph.run import Run
+    from slammot_graph.saved_maps import closures_between_runs, edit_map, merge_maps
     from slammot_graph.saving import load_run
 
 __version__ = "0.1.0"
@@ -40,8 +41,11 @@ __all__ = [
     "Scan",
     "SlammotError",
     "StepResult",
+    "closures_between_runs",
+    "edit_map",
     "get_method",
     "load_run",
+    "merge_maps",
     "open_log",
 ]
 
@@ -59,8 +63,11 @@ _HOME = {
     "SavedMap": "core.saved_map.SavedMap",
     "Scan": "core.scan.Scan",
     "StepResult": "core.results.StepResult",
+    "closures_between_runs": "saved_maps.closures_between_runs",
+    "edit_map": "saved_maps.edit_map",
     "get_method": "methods.get_method",
     "load_run": "saving.load_run",
+    "merge_maps": "saved_maps.merge_maps",
     "open_log": "logs.open_log",
 }
 """Names whose modules bring in gtsam, numba and scipy: each is imported on first use."""

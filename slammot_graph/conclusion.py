@@ -8,13 +8,18 @@ import numpy as np
 
 from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from slammot_graph.core.results import GridMap
+from slammot_graph.core.saved_map import SavedMap
+from slammot_graph.core.saved_map_parts import points_in_map, with_submaps, without_points
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
+from slammot_graph.mapping.changes import Changes, covering_all, find_changes, joint_map
+from slammot_graph.mapping.saved_grid import render_saved_map
 from slammot_graph.mapping.tiled_grid import PartialMapError
 from slammot_graph.pipeline import Pipeline
 from slammot_graph.tracking.smoothing import SmoothedTracks
 
 T = TypeVar("T")
+_Comparison = tuple[Changes | None, list[BoolArray] | None, GridMap]
 
 
 class KeptSteps(Protocol):
@@ -36,6 +41,8 @@ class Outcome:
     final: FinalEstimate
     labels: list[BoolArray] | None
     grid: GridMap
+    changes: Changes | None
+    is_changed: list[BoolArray] | None
     moving_points: FloatArray
     tracks: SmoothedTracks | None
     failures: dict[str, Exception]
@@ -75,6 +82,13 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
 
     grid = attempt("map", render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
 
+    compared: _Comparison = (None, None, grid)
+    if "map" not in failures:
+        seen, so_far = grid, compared
+        compared = attempt("changes", lambda: _compared(pipeline, final, labels, seen, n), lambda: so_far)
+    changes, is_changed, grid = compared
+    final = replace(final, saved_map=_kept_map(final, changes))
+
     def find_moving() -> FloatArray:
         if isinstance(pipeline, Pipeline) and labels is not None:
             return pipeline.moving_points(T_map_base, labels)
@@ -86,10 +100,47 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
         final=final,
         labels=labels,
         grid=grid,
+        changes=changes,
+        is_changed=is_changed,
         moving_points=moving_points,
         tracks=tracks,
         failures=failures,
     )
+
+
+def _compared(
+    pipeline: Pipeline | KissIcpPipeline,
+    final: FinalEstimate,
+    labels: list[BoolArray] | None,
+    grid: GridMap,
+    n: int,
+) -> _Comparison:
+    """Find what has changed since the map that the run started from was made; gives the map of both, too."""
+    if not isinstance(pipeline, Pipeline) or final.earlier is None:
+        return None, None, grid
+    before = render_saved_map(final.earlier, pipeline.config.grid, pipeline.config.final_map)
+    changes = find_changes(before, grid)
+    is_changed = pipeline.changed_points(final.T_map_base[:n], changes, labels)
+    return changes, is_changed, joint_map(before, grid)
+
+
+def _kept_map(final: FinalEstimate, changes: Changes | None) -> SavedMap | None:
+    """Leave out what is gone, and the local maps of known places that show nothing new."""
+    saved = final.saved_map
+    if saved is None:
+        return None
+    is_kept = np.arange(len(saved.submaps)) < len(saved.submaps) - final.n_spare
+    if changes is None or final.earlier is None:
+        return with_submaps(saved, is_kept)
+    points, n = points_in_map(saved), len(saved.keyframe_sizes)
+    owner = np.repeat(np.arange(n), saved.keyframe_sizes)
+    cells = changes.new_cells(points)
+    cells_of = [np.unique(cells[np.isin(owner, rows) & (cells >= 0)]) for rows in saved.submaps]
+    is_kept |= covering_all(cells_of, is_kept)
+    is_earlier = np.zeros(n, dtype=np.bool_)
+    for rows in saved.submaps[: len(final.earlier.submaps)]:
+        is_earlier[rows] = True
+    return without_points(saved, changes.are_gone(points) & is_earlier[owner], is_kept)
 
 
 def _no_map(resolution_m: float) -> GridMap:

@@ -24,6 +24,7 @@ from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.blind_scans import BlindScans
 from slammot_graph.localization.factory import make_localizer
 from slammot_graph.localization.health import HealthMonitor
+from slammot_graph.mapping.changes import Changes
 from slammot_graph.mapping.final_map import MapScan, render_final_map
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
@@ -33,6 +34,10 @@ from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
 
 __all__ = ["Pipeline", "PipelineConfig"]
+
+
+FEW_BYTES = 2 << 20
+"""So much of its scans a run keeps in memory that only localizes, and may go on for days."""
 
 
 class Pipeline:
@@ -69,7 +74,8 @@ class Pipeline:
         self.tracker = make_tracker(config.tracker)
         self.health = HealthMonitor()
         self._blind_scans = BlindScans()
-        self._history = ScanHistory()
+        is_kept_flat = start is not None and start.localize
+        self._history = ScanHistory(FEW_BYTES) if is_kept_flat else ScanHistory()
         self._sightings = SightingHistory()
         self._stamps = array("d")
         self._stopwatch = Stopwatch()
@@ -187,6 +193,18 @@ class Pipeline:
             if is_moving.any()
         ]
         return np.concatenate([np.empty((0, 2)), *found])
+
+    def changed_points(
+        self, T_map_base: FloatArray, changes: Changes, labels: Sequence[BoolArray] | None = None
+    ) -> list[BoolArray]:
+        """Tell which static points of all scans are of what is new; poses (n, 3) and labels as of `render_map`."""
+        n = min(len(self._history), len(T_map_base))
+        found = []
+        for k in range(n):
+            seen = self._history[k]
+            is_static = seen.is_valid & ~(seen.is_moving if labels is None else labels[k])
+            found.append(is_static & changes.are_new(seen.scan.points(T_map_base[k])))
+        return found
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """Give the pose graph as it is now: optimised poses (m, 3) in the map frame, and edges; cheap."""

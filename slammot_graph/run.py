@@ -277,6 +277,8 @@ class Run:
             ),
             laser=np.array([scan.laser for scan in scans], dtype=np.int64),
             saved_map=final.saved_map,
+            is_changed=None if outcome.is_changed is None else _padded(outcome.is_changed),
+            **_changed_cells(outcome),
         )
 
 
@@ -295,6 +297,13 @@ class _Session:
     @classmethod
     def begin(cls, config: Config, start: MapStart | None) -> Self:
         return cls(make_pipeline(config, start), RunStatistics(limits_of(config)))
+
+
+def _changed_cells(outcome: Outcome) -> dict[str, FloatArray]:
+    """What stands where nothing was, and what is there no more, as arguments of a `RunResult`."""
+    if outcome.changes is None:
+        return {}
+    return {"new_points": outcome.changes.new_points, "gone_points": outcome.changes.gone_points}
 
 
 def _track_rows(tracks: SmoothedTracks, scans: Sequence[KeptScan]) -> FloatArray:

@@ -23,6 +23,7 @@ LAYERS = (
     ("detection",),
     ("loop_closure",),
     ("localization",),
+    ("saved_maps",),
     ("baselines",),
     ("pipeline_config",),
     ("old_keys",),
@@ -70,6 +71,8 @@ CLI_MAY_IMPORT = {
     "viz": "`animate`",
     "viz/rerun": "`view`, and the recording of `run`",
     "saving": "`run` and `demo`",
+    "saved_maps": "`merge` and `edit`",
+    "mapping": "the picture of a merged or edited map",
     "__init__": "`__version__`",
 }
 """What the command line may import, and for what; the parts of a method are not among it."""

@@ -59,8 +59,11 @@ def test_the_public_names() -> None:
         "Scan",
         "SlammotError",
         "StepResult",
+        "closures_between_runs",
+        "edit_map",
         "get_method",
         "load_run",
+        "merge_maps",
         "open_log",
     ]
 

@@ -25,6 +25,7 @@ from slammot_graph.cli.console import (
 )
 from slammot_graph.cli.judging import compare_command, evaluate_command
 from slammot_graph.cli.logs import inject_command, simulate_command
+from slammot_graph.cli.maps import edit_command, merge_command
 from slammot_graph.cli.methods import config_command, methods_command
 from slammot_graph.cli.running import demo_command, run_command
 from slammot_graph.cli.showing import animate_command, view_command
@@ -102,6 +103,8 @@ def _obey(words: list[str]) -> int:
             "simulate": simulate_command,
             "inject": inject_command,
             "demo": demo_command,
+            "merge": merge_command,
+            "edit": edit_command,
         },
         prog=PROGRAM,
         description="2D laser SLAM among moving people, on a factor graph. --version tells which one this is.",

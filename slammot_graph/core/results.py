@@ -328,6 +328,11 @@ class RunResult:
         Which of the robot's lasers took each scan, from 0; None: the only one.
     saved_map : SavedMap or None
         What later runs start from: `map.slam` of the run folder; None for a method without a graph.
+    is_changed : (n, beams) bool array or None
+        Points of what stands where the map that the run started from saw nothing; None where the run started from
+        none, or did not find its place there.
+    new_points, gone_points : (k, 2) arrays [m]
+        Middles of the cells of `grid` that were free in that map and are occupied now, and the other way round.
     """
 
     method: str
@@ -368,6 +373,9 @@ class RunResult:
     objects: tuple[TrackedObject, ...] = ()
     laser: IntArray | None = None
     saved_map: "SavedMap | None" = None
+    is_changed: BoolArray | None = None
+    new_points: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    gone_points: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     def save(self, directory: str | Path, *, overwrite: bool = False) -> None:
         """Write the run folder, all files but the recording ``run.rrd``; `load_run` reads it back.

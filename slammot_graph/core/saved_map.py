@@ -3,7 +3,7 @@
 The file begins with one line of ASCII, ``slammot-graph map VERSION SHA256``, the checksum being that of all bytes after
 the line. These are an ``.npz`` archive (zip of ``.npy`` arrays, no pickle):
 
-- ``header``: bytes of a JSON object with ``runs`` (a list of `SavedRun`) and ``joined``.
+- ``header``: bytes of a JSON object with ``runs`` (a list of `SavedRun`), ``joined`` and ``edits``.
 - ``nodes`` (m, 3), ``node_scans`` (m,); ``edge_kinds`` (e,) an index into `EDGE_KINDS`, ``edge_nodes`` (e, 2),
   ``edge_poses`` (e, 3), ``edge_informations`` (e, 6): the upper triangle, row by row.
 - ``keyframe_nodes`` (k,), ``keyframe_poses`` (k, 3), ``keyframe_lasers`` (k,), ``keyframe_origins`` (k, 2),
@@ -55,6 +55,8 @@ class SavedRun:
         Name of its log; empty where there was none.
     first_node, component : int
         Where it begins: its first node, and the component of the graph that this began.
+    first_scan : int
+        Which line of the folder's ``trajectory.tum``, from 0, is that of its first scan; -1: it is not there.
     odometry : mapping of str to (float, float)
         What the run found out about its odometry: each number of `OdometryReport` with its standard deviation; without
         those that the drive does not tell.
@@ -63,6 +65,7 @@ class SavedRun:
     log: str = ""
     first_node: int = 0
     component: int = 0
+    first_scan: int = 0
     odometry: Mapping[str, tuple[float, float]]
 
 
@@ -98,6 +101,8 @@ class SavedMap:
     joined : tuple of int
         Components whose place in the map is known.
     runs : tuple of SavedRun
+    edits : tuple of str
+        What was changed in it by hand, in the words of ``slammot-graph edit``.
     """
 
     nodes: FloatArray
@@ -115,6 +120,7 @@ class SavedMap:
     submap_components: IntArray
     joined: tuple[int, ...]
     runs: tuple[SavedRun, ...]
+    edits: tuple[str, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -230,7 +236,7 @@ class MapStart:
 
 
 def _packed(saved: SavedMap) -> dict[str, Any]:
-    header = {"runs": [asdict(run) for run in saved.runs], "joined": saved.joined}
+    header = {"runs": [asdict(run) for run in saved.runs], "joined": saved.joined, "edits": saved.edits}
     starts = np.cumsum(saved.keyframe_sizes) - saved.keyframe_sizes
     is_any = saved.keyframe_sizes > 0
     units = np.full(len(starts), 1e-3)
@@ -311,8 +317,10 @@ def _unpacked(arrays: Mapping[str, Any]) -> dict[str, Any]:
                 log=str(run["log"]),
                 first_node=int(run["first_node"]),
                 component=int(run["component"]),
+                first_scan=int(run.get("first_scan", 0)),
                 odometry={str(key): (float(a), float(b)) for key, (a, b) in run["odometry"].items()},
             )
             for run in header["runs"]
         ),
+        "edits": tuple(str(edit) for edit in header.get("edits", ())),
     }

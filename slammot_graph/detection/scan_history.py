@@ -60,6 +60,11 @@ class ScanRecord:
 class ScanHistory(Sequence[ScanRecord]):
     """All scans of a run in their order: 5 bytes a beam, 9 of a sweep; on the disk once they are many.
 
+    Parameters
+    ----------
+    most_in_memory : int, optional
+        Beyond this [bytes] they are many; by default `MOST_IN_MEMORY`.
+
     Attributes
     ----------
     stamps : array of n floats [s]
@@ -67,12 +72,12 @@ class ScanHistory(Sequence[ScanRecord]):
         Which of the robot's lasers took each.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most_in_memory: int | None = None) -> None:
         self._lasers: list[LaserModel] = []
         self._places = array("q")
         self.stamps = array("d")
         self.laser_numbers = array("q")
-        self._spool = Spool(MOST_IN_MEMORY)
+        self._spool = Spool(MOST_IN_MEMORY if most_in_memory is None else most_in_memory)
 
     def append(
         self,

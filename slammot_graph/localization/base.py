@@ -54,6 +54,10 @@ class FinalEstimate:
     edges : tuple of GraphEdge
     saved_map : SavedMap or None
         What later runs start from, where there is a graph.
+    n_spare : int
+        The last so many local maps of it show known places: worth keeping only where something has changed.
+    earlier : SavedMap or None
+        The map that the run started from, as corrected by it; None where not all of the run lies in it.
     """
 
     T_map_base: FloatArray
@@ -62,6 +66,8 @@ class FinalEstimate:
     nodes: FloatArray
     edges: tuple[GraphEdge, ...]
     saved_map: SavedMap | None = None
+    n_spare: int = 0
+    earlier: SavedMap | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

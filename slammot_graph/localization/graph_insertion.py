@@ -1,5 +1,7 @@
 """Graph insertion: which keyframes become nodes, by which factors they are tied, and when loops are looked for."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from slammot_graph.core import se2
@@ -196,17 +198,17 @@ class GraphInsertion:
         finished = self.local_map.add(keyframe, None if is_first else state.cov_independent)
         closures: tuple[ClosureAttempt, ...] = ()
         if finished and self.closer is not None:
-            closures = self.closer.consider(self._submap(finished, path_m))
-        elif self._seeks_early():
-            closures = self._seek_early(path_m)
+            submap = self._submap(finished, path_m)
+            closures = self.closer.consider(submap)
+            if self.closer.is_sought(self.n_times_lost):
+                self.closer.request(submap)
+        elif self.closer is not None and self._seeks_early():
+            self.closer.request(self._submap(tuple(self.local_map.keyframes), path_m))
         anchor = self.local_map.anchor.node
         if node is not None and (is_first or finished):
             keyframes.place_node(self.graph.pose(node))
             self.cov_anchor = self.graph.marginal(anchor)
             keyframes.cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
-        if closures and not finished and self.is_placed and node is not None:
-            keyframes.place_node(self.graph.pose(node))
-            self.cov_anchor = self.graph.marginal(anchor)
         if is_first:
             self.local_factors.start(state.T_local_base)
             state = state._replace(cov_independent=FIRST_COV, cov_correlated=np.zeros((3, 3)))
@@ -216,17 +218,32 @@ class GraphInsertion:
             state = state._replace(cov_independent=covs[-1])
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
 
+    def search_on(self) -> tuple[ClosureAttempt, ...]:
+        """Take the search for the latest component a step further; gives the closures tried."""
+        if self.closer is None or not self.closer.is_sought(self.n_times_lost) or not self.has_node:
+            return ()
+        closures = self.closer.search_on()
+        if not self.closer.is_sought(self.n_times_lost):
+            self.keyframes.place_node(self.graph.pose(len(self.graph) - 1))
+            self.cov_anchor = self.graph.marginal(self.anchor(se2.IDENTITY)[0])
+        return closures
+
     def saved_map(self, nodes: FloatArray, path_m: float, report: OdometryReport) -> SavedMap:
-        """Give all local maps, the unfinished one too, and the graph with its optimised poses (n, 3)."""
+        """Give all local maps, the unfinished one too, and the graph with its optimised poses (n, 3).
+
+        The last `n_spare` of them show known places, in a run that started from a saved map.
+        """
         submaps = [] if self.closer is None else list(self.closer.submaps)
         if len(self.local_map.keyframes) > 1:
             unfinished = tuple(self.local_map.keyframes)
             submaps.append(
                 Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._config.closure.submap)
             )
-        component, old_scans, old_runs = 0, list[int](), tuple[SavedRun, ...]()
+        submaps += [] if self.closer is None else self.closer.known or []
+        component, old_scans, old_runs, edits = 0, list[int](), tuple[SavedRun, ...](), tuple[str, ...]()
         if self._saved is not None:
-            component, old_runs = first_component(self._saved), self._saved.runs
+            component, edits = first_component(self._saved), self._saved.edits
+            old_runs = tuple(replace(run, first_scan=NOT_OF_THIS_RUN) for run in self._saved.runs)
             old_scans = self._saved.node_scans.tolist()
         run = SavedRun(first_node=self._n_saved, component=component, odometry=calibration_of(report))
         return save_submaps(
@@ -236,7 +253,21 @@ class GraphInsertion:
             edges=tuple(self.graph.edges),
             joined=tuple({0} if self.closer is None else self.closer.relocalization.joined),
             runs=(*old_runs, run),
+            edits=edits,
         )
+
+    @property
+    def n_spare(self) -> int:
+        """How many local maps at the end of the saved ones show known places."""
+        return 0 if self.closer is None else len(self.closer.known or [])
+
+    def earlier_map(self, nodes: FloatArray) -> SavedMap | None:
+        """Give the map that the run started from, its nodes corrected; None unless all of the run lies in it."""
+        if self._saved is None or self.closer is None:
+            return None
+        own = set(range(first_component(self._saved), self.n_times_lost + 1))
+        is_placed = own <= self.closer.relocalization.joined
+        return replace(self._saved, nodes=nodes[: len(self._saved.nodes)]) if is_placed else None
 
     def start_component(self, path_m: float, *, is_known: bool = False) -> None:
         """Begin a new component of the graph, with no local map: until there is one, the last node is the anchor.
@@ -250,17 +281,17 @@ class GraphInsertion:
         self.n_times_lost += not is_known
         self._was_blind = is_known
         self.local_map.start([])
+        if self.closer is not None and not is_known:
+            self.closer.look_all_over()
 
     def _seeks_early(self) -> bool:
         """Tell whether to look for the first local map of a component before it is finished."""
         n, closer = len(self.local_map.keyframes), self.closer
-        if closer is None or self.is_placed or n < FIRST_SEARCH or (n - FIRST_SEARCH) % SEARCH_STEP:
+        if closer is None or not closer.is_sought(self.n_times_lost):
+            return False
+        if n < FIRST_SEARCH or (n - FIRST_SEARCH) % SEARCH_STEP:
             return False
         return all(submap.component != self.n_times_lost for submap in closer.submaps)
-
-    def _seek_early(self, path_m: float) -> tuple[ClosureAttempt, ...]:
-        assert self.closer is not None
-        return self.closer.seek(self._submap(tuple(self.local_map.keyframes), path_m))
 
     def _submap(self, keyframes: tuple[Keyframe, ...], path_m: float) -> Submap:
         self._n_submaps += 1

@@ -38,6 +38,9 @@ OWN_REACH_M = 4.0
 MOST_UNSURE_M = 8.0
 """After so long a way on which the saved map has not shown what the robot sees, the robot is lost."""
 
+UPPER = np.triu_indices(3)
+"""Of covariances their upper triangles are kept, in single precision."""
+
 FOUND_STD = (0.1, 0.1, 0.02)
 """Standard deviation of the place that was found, before the first match there [m, m, rad]."""
 
@@ -99,8 +102,8 @@ class InSavedMap(ScanToMap):
         self._own: deque[tuple[Keyframe, FloatArray]] = deque(maxlen=N_OWN)
         self._T_local_keyframe: FloatArray = se2.IDENTITY
         self._sure_at: tuple[float, int] = (0.0, 0)
-        self._poses = array("d")
-        self._parts: list[tuple[int, FloatArray]] = [(0, se2.IDENTITY)]
+        self._poses, self._covs = array("d"), array("f")
+        self._parts: list[tuple[int, FloatArray | None]] = [(0, None)]
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
@@ -111,9 +114,10 @@ class InSavedMap(ScanToMap):
             if self.insertion.is_placed:
                 self._enter(scan.index)
             elif committed.is_lost:
-                self._parts.append((len(self._poses) // 12, se2.IDENTITY))
+                self._parts.append((len(self._poses) // 3, None))
         estimate = self._estimate()
-        self._poses.extend(estimate.T_local_base.tolist() + estimate.cov_absolute.ravel().tolist())
+        self._poses.extend(estimate.T_local_base.tolist())
+        self._covs.extend(estimate.cov_absolute[UPPER].tolist())
         return committed
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
@@ -122,18 +126,23 @@ class InSavedMap(ScanToMap):
 
     def final(self) -> FinalEstimate:
         """See `Localizer`: poses as they were at the time, those before the place was found moved there."""
-        numbers = np.array(self._poses).reshape(-1, 12)
-        T_map_base = numbers[:, :3].copy()
-        ends = [first for first, _ in self._parts[1:]] + [len(numbers)]
+        T_map_base = np.array(self._poses, dtype=np.float64).reshape(-1, 3)
+        cov_map = np.empty((len(T_map_base), 3, 3))
+        cov_map[:, UPPER[0], UPPER[1]] = np.array(self._covs, dtype=np.float64).reshape(-1, 6)
+        cov_map[:, UPPER[1], UPPER[0]] = cov_map[:, UPPER[0], UPPER[1]]
+        ends = [first for first, _ in self._parts[1:]] + [len(T_map_base)]
         for (first, T_map_local), end in zip(self._parts, ends, strict=True):
-            T_map_base[first:end] = se2.compose(T_map_local[None, :], numbers[first:end, :3])
+            if T_map_local is not None:
+                T_map_base[first:end] = se2.compose(T_map_local[None, :], T_map_base[first:end])
         saved = self._start.saved
+        is_placed = all(T_map_local is not None for _, T_map_local in self._parts)
         return FinalEstimate(
             T_map_base=T_map_base,
-            cov_map=numbers[:, 3:].reshape(-1, 3, 3),
+            cov_map=cov_map,
             node_scans=np.full(len(saved.nodes), NOT_OF_THIS_RUN),
             nodes=saved.nodes,
             edges=saved.edges,
+            earlier=saved if is_placed else None,
         )
 
     def _estimate(self) -> Estimate:
@@ -227,7 +236,7 @@ class InSavedMap(ScanToMap):
     def _leave(self) -> None:
         """Look for the robot again, with nothing known of the motion since."""
         self.is_found = False
-        self._parts.append((len(self._poses) // 12, se2.IDENTITY))
+        self._parts.append((len(self._poses) // 3, None))
         self._sweep_end = None
         self.propagation.lose_track(self.config.lost_cov, self.config.lost_distance_m)
         self.local_map.start([])

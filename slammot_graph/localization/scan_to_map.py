@@ -145,6 +145,7 @@ class ScanToMap:
                 node = insertion.add_node(scan.index, state.T_local_base, T_odom_base, self._match)
             if has_points:
                 closures = self._add_keyframe(node, scan, points_base, is_static)
+        closures += insertion.search_on()
         self._attach()
         propagation.commit(None if is_lost else self._matched_pose())
         return CommitResult(
@@ -201,6 +202,8 @@ class ScanToMap:
             nodes=nodes,
             edges=tuple(self.graph.edges),
             saved_map=self.insertion.saved_map(nodes, self.propagation.path_m, self.odometry_report()),
+            n_spare=self.insertion.n_spare,
+            earlier=self.insertion.earlier_map(nodes),
         )
 
     def close(self) -> None:

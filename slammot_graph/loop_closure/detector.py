@@ -11,7 +11,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt
 from slammot_graph.loop_closure.config import LoopClosureConfig
-from slammot_graph.loop_closure.place_finder import PlaceFinder
+from slammot_graph.loop_closure.place_finder import N_AT_ONCE, N_AT_ONCE_LOST, PlaceFinder
 from slammot_graph.loop_closure.relocalization import Relocalization
 from slammot_graph.loop_closure.submap import Submap
 from slammot_graph.loop_closure.verification import SearchWindow, Verifier, search_window
@@ -47,7 +47,11 @@ class LoopCloser:
     blind_drives : list of (int, (3, 3) array)
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     finder : PlaceFinder or None
-        Looks all over a saved map that the run started from.
+        Looks all over a saved map that the run started from, or the run's own map once the robot was lost.
+    known : list of Submap or None
+        Those that showed a known place, of a run that started from a saved map.
+    first_nodes : dict of int to int
+        First node of a component, where it is not that of its first local map.
     """
 
     def __init__(self, config: LoopClosureConfig, local_map: LocalMapConfig, graph: PoseGraph) -> None:
@@ -61,6 +65,8 @@ class LoopCloser:
         self.is_known = False
         self.blind_drives: list[tuple[int, FloatArray]] = []
         self.finder: PlaceFinder | None = None
+        self.known: list[Submap] | None = None
+        self.first_nodes: dict[int, int] = {}
 
     def start_from(
         self, submaps: list[Submap], joined: tuple[int, ...], initial_pose: FloatArray | None
@@ -70,27 +76,42 @@ class LoopCloser:
         A component that is not joined is looked for all over the map from now on; the first one near a pose (3,) where
         one is given.
         """
-        self.submaps = list(submaps)
+        self.submaps, self.known = list(submaps), []
         self.relocalization.joined = set(joined)
         targets = [submap for submap in submaps if submap.component in joined]
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), initial_pose)
 
+    def look_all_over(self) -> None:
+        """Look for the component that begins now, of a lost robot, among all local maps whose place is known."""
+        targets = [submap for submap in self.submaps if submap.component in self.relocalization.joined]
+        n_at_once = N_AT_ONCE_LOST if self.known is None else N_AT_ONCE
+        self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), n_at_once=n_at_once)
+
     def is_sought(self, component: int) -> bool:
-        """Tell whether a component's place in the saved map is looked for and not found yet."""
+        """Tell whether a component's place is looked for all over the map and not found yet."""
         return self.finder is not None and component not in self.relocalization.joined
 
     def seek(self, source: Submap) -> tuple[ClosureAttempt, ...]:
-        """Look all over the saved map for a local map, which may be unfinished; returns what was tried."""
-        if self.finder is None:
+        """Look all over the map for a local map, which may be unfinished; returns what was tried."""
+        return () if self.finder is None else self._try(self.finder.find(source, self.graph.poses()))
+
+    def request(self, source: Submap) -> None:
+        """Let a local map be looked for all over the map, by `search_on` step by step."""
+        if self.finder is not None:
+            self.finder.request(source, self.graph.poses())
+
+    def search_on(self) -> tuple[ClosureAttempt, ...]:
+        """Take the search for a local map a step further; returns what was tried."""
+        return () if self.finder is None else self._try(self.finder.go_on())
+
+    def _try(self, found: list[Closure]) -> tuple[ClosureAttempt, ...]:
+        if not found or self.finder is None:
             return ()
-        nodes = self.graph.poses()
-        found = self.finder.find(source, nodes)
-        if not found:
-            return ()
-        attempts = [self.relocalize(found, nodes)]
+        attempts = [self.relocalize(found, self.graph.poses())]
         if attempts[0].status == "accepted":
             attempts += self.reject_outliers()
             self.finder.initial_pose = None
+            self.finder.forget()
         return tuple(attempts)
 
     def consider(self, submap: Submap) -> tuple[ClosureAttempt, ...]:
@@ -119,12 +140,12 @@ class LoopCloser:
                 self.is_known = self.is_known or closure.overlap >= self.config.known_overlap
         if self.is_known:
             self.submaps.remove(submap)
+            if self.known is not None:
+                self.known.append(submap)
         if changed:
             dropped = {id(edge) for edge, _ in self.graph.dropped}
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
-        if self.is_sought(submap.component):
-            attempts += self.seek(submap)
         return tuple(attempts)
 
     def decide(
@@ -165,6 +186,7 @@ class LoopCloser:
         component = closure.source.component
         anchors = [submap.anchor for submap in self.submaps if submap.component == component]
         first = min([*anchors, *(one.source.anchor for one in agreeing)])
+        first = self.first_nodes.get(component, first)
         nodes[first:] = se2.compose(T_map_new[None, :], nodes[first:])
         # of local maps that went on growing the last one tells all
         self._add_edges(list({(one.source.anchor, one.target.anchor): one for one in agreeing}.values()))

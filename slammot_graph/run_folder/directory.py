@@ -27,9 +27,13 @@ RUN_FILES = (
 """All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording
 no ``run.rrd``."""
 
+ALL_FILES = (*RUN_FILES, "closures.csv")
+"""With those of a merged map."""
+
 _FIRST_FILES = (
     "run.rrd",
     "trajectory.tum",
+    "map.slam",
 )  # an interrupted run leaves one of them, or a file under its temporary name
 
 
@@ -67,7 +71,7 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
     output = Path(output)
     _check_output(output, overwrite=overwrite)
     with write_errors(output, "remove it yourself, or name another --output"):
-        for name in RUN_FILES:
+        for name in ALL_FILES:
             (output / name).unlink(missing_ok=True)
             temporary_path(output / name).unlink(missing_ok=True)
 
@@ -97,8 +101,8 @@ def _is_run_folder(output: Path, names: list[str]) -> bool:
     try:
         summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        begun = {temporary_path(output / name).name for name in RUN_FILES}
-        return begun.union(RUN_FILES).issuperset(names) and bool(
+        begun = {temporary_path(output / name).name for name in ALL_FILES}
+        return begun.union(ALL_FILES).issuperset(names) and bool(
             begun.union(_FIRST_FILES).intersection(names)
         )
     return isinstance(summary, dict) and {"method", "n_scans"} <= summary.keys()

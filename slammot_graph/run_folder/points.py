@@ -27,13 +27,20 @@ _KINDS = {"stamps": "f", "is_valid": "b", "is_moving": "b", "is_moving_online": 
 
 
 def write_points(path: Path, result: RunResult) -> None:
-    """Write the labels of a run's beams.
+    """Write the labels of a run's beams; of a run that started from a map, what has changed since too.
 
     Raises
     ------
     InputError
         The file cannot be written.
     """
+    changed = {}
+    if result.is_changed is not None:
+        changed = {
+            "changed": result.is_changed,
+            "new_points": result.new_points,
+            "gone_points": result.gone_points,
+        }
     write_arrays(
         path,
         stamps=result.stamps,
@@ -42,6 +49,7 @@ def write_points(path: Path, result: RunResult) -> None:
         is_moving_online=result.is_moving_online,
         p_moving=np.asarray(result.p_moving, dtype=np.float16),
         laser=np.zeros(len(result.stamps), dtype=np.int64) if result.laser is None else result.laser,
+        **changed,
     )
 
 

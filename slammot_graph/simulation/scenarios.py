@@ -7,6 +7,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import FloatArray
+from slammot_graph.simulation.furniture import with_moved_furniture
 from slammot_graph.simulation.laser import laser_named, measure
 from slammot_graph.simulation.log import SimulatedLog
 from slammot_graph.simulation.people import PeopleConfig, circles, walk
@@ -42,6 +43,9 @@ class Scenario:
         Share of the time between scans in which the beams are sent out one after the other; 0: snapshots.
     glass, mirrors : float
         Shares of the walls that return nothing but at right angles, and that return what they show; of snapshots alone.
+    moved : float
+        Share of the furniture that stands elsewhere than in the world's plan; where, draws from `moved_seed` alone.
+    moved_seed : int
     drive, odometry, people
         Configuration of the parts.
     mountings : tuple of (x, y, theta)
@@ -58,6 +62,8 @@ class Scenario:
     sweep: float = 0.0
     glass: float = 0.0
     mirrors: float = 0.0
+    moved: float = 0.0
+    moved_seed: int = 0
     drive: DriveConfig = field(default_factory=DriveConfig)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     people: PeopleConfig = field(default_factory=PeopleConfig)
@@ -159,6 +165,8 @@ def simulate(
     if chosen.sweep and (chosen.glass or chosen.mirrors):
         raise ConfigError("glass and mirrors are simulated for lasers that do not sweep: sweep must be 0")
     world = world_named(chosen.world)
+    if chosen.moved:
+        world, _ = with_moved_furniture(world, chosen.moved, chosen.moved_seed)
     scanner = replace(laser_named(chosen.laser).at_rate(chosen.rate_hz), sweep=chosen.sweep)
     streams = np.random.default_rng(seed).spawn(4)
     n_lasers = max(len(chosen.mountings), 1)

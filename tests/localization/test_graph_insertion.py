@@ -30,6 +30,14 @@ class Closer:
     def __init__(self, is_known: bool = False) -> None:
         self.is_known = is_known
         self.submaps: list[Submap] = []
+        self.known: list[Submap] = []
+        self.n_searches = 0
+
+    def is_sought(self, component: int) -> bool:
+        return False
+
+    def look_all_over(self) -> None:
+        self.n_searches += 1
 
     def consider(self, submap: Submap) -> tuple[()]:
         self.submaps.append(submap)
@@ -144,6 +152,7 @@ def test_a_lost_robot_begins_a_new_component(insertion: GraphInsertion) -> None:
     insertion.start_component(path_m=77.0)
     assert insertion.local_map.keyframes == []
     assert insertion.n_times_lost == 1
+    assert closer.n_searches == 1
     (submap,) = closer.submaps
     assert (submap.path_m, submap.component, len(submap.keyframes)) == (77.0, 0, 3)
     np.testing.assert_allclose(insertion.cov_anchor, insertion.graph.marginal(2), rtol=1e-9)
