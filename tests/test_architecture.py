@@ -29,10 +29,11 @@ LAYERS = (
     ("pipeline",),
     ("methods",),
     ("observer", "diagnosis", "conclusion", "kept_scans"),
+    ("session",),
     ("run",),
     ("run_folder", "viz"),
     ("viz/rerun",),
-    ("saving",),
+    ("saving", "checkpoints"),
     ("cli",),
     ("__main__", "__init__"),
 )
@@ -70,6 +71,7 @@ CLI_MAY_IMPORT = {
     "viz": "`animate`",
     "viz/rerun": "`view`, and the recording of `run`",
     "saving": "`run` and `demo`",
+    "checkpoints": "`run`",
     "__init__": "`__version__`",
 }
 """What the command line may import, and for what; the parts of a method are not among it."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.run_folder.atomic import temporary_path, write_errors
+from slammot_graph.run_folder.checkpoint import CHECKPOINT_FILE, SCANS_FILE
 from slammot_graph.run_folder.lock import LOCK_FILE, folder_lock
 
 RUN_FILES = (
@@ -22,20 +23,26 @@ RUN_FILES = (
     "covariances.npz",
     "run.rrd",
     "overview.png",
+    CHECKPOINT_FILE,
+    SCANS_FILE,
     "summary.json",
 )
 """All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording
-no ``run.rrd``."""
+no ``run.rrd``; only a run that has not ended has the checkpoint. Of a run that went on there may be earlier parts of
+the recording, ``run.1.rrd`` and so on."""
 
 _FIRST_FILES = (
     "run.rrd",
     "trajectory.tum",
+    CHECKPOINT_FILE,
 )  # an interrupted run leaves one of them, or a file under its temporary name
 
 
 @contextmanager
-def claimed_output(output: str | Path, *, overwrite: bool) -> Iterator[None]:
+def claimed_output(output: str | Path, *, overwrite: bool, resume: bool = False) -> Iterator[None]:
     """Make an empty run folder as `prepare_output` does, which no other run may write into meanwhile.
+
+    With `resume` the files of a run that is already there stay.
 
     Raises
     ------
@@ -43,9 +50,10 @@ def claimed_output(output: str | Path, *, overwrite: bool) -> Iterator[None]:
         As of `prepare_output`; or another run writes into it.
     """
     output = Path(output)
-    _check_output(output, overwrite=overwrite)
+    _check_output(output, overwrite=overwrite or resume)
     with folder_lock(output):
-        prepare_output(output, overwrite=overwrite)
+        if not resume:
+            prepare_output(output, overwrite=overwrite)
         yield
 
 
@@ -70,6 +78,30 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
         for name in RUN_FILES:
             (output / name).unlink(missing_ok=True)
             temporary_path(output / name).unlink(missing_ok=True)
+        for path in recording_parts(output):
+            path.unlink()
+
+
+def recording_parts(output: Path) -> list[Path]:
+    """Give the earlier parts of the recording of a run that went on, in their order."""
+    numbered = [
+        (int(path.name[4:-4]), path) for path in output.glob("run.*.rrd") if path.name[4:-4].isdecimal()
+    ]
+    return [path for _, path in sorted(numbered)]
+
+
+def keep_recording(output: Path) -> None:
+    """Let what is recorded so far be a part of its own, beside which the rest is recorded.
+
+    Raises
+    ------
+    InputError
+        It cannot be renamed.
+    """
+    path = output / "run.rrd"
+    with write_errors(path, "remove it yourself, or name another --output"):
+        if path.exists():
+            path.rename(output / f"run.{len(recording_parts(output)) + 1}.rrd")
 
 
 def _check_output(output: Path, *, overwrite: bool) -> None:
@@ -98,6 +130,7 @@ def _is_run_folder(output: Path, names: list[str]) -> bool:
         summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         begun = {temporary_path(output / name).name for name in RUN_FILES}
+        begun.update(path.name for path in recording_parts(output))
         return begun.union(RUN_FILES).issuperset(names) and bool(
             begun.union(_FIRST_FILES).intersection(names)
         )
