@@ -16,6 +16,7 @@ from slammot_graph.core import se2
 from slammot_graph.core._numba import is_compiled
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.frozen_state import FrozenRun
 from slammot_graph.core.results import RunResult, StepResult
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
@@ -27,8 +28,10 @@ from slammot_graph.methods import Config, get_method
 from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
 from slammot_graph.registration._solve_kernels import match_point_to_line
-from slammot_graph.session import FrozenRun, Session, fingerprint
+from slammot_graph.session import Session, fingerprint, make_pipeline
 from slammot_graph.tracking.smoothing import SmoothedTracks
+
+__all__ = ["Run", "has_compiled_kernels", "make_pipeline"]
 
 
 def has_compiled_kernels() -> bool:

@@ -18,11 +18,10 @@ from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
 from slammot_graph.conclusion import Outcome
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
-from slammot_graph.core.frozen_state import freeze, thaw
+from slammot_graph.core.frozen_state import FrozenRun, freeze, thaw
 from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.spool import Spool
 from slammot_graph.core.strict_json import strict_json
 from slammot_graph.diagnosis import RunStatistics, limits_of
 from slammot_graph.kept_scans import KeptScans
@@ -40,53 +39,6 @@ def make_pipeline(config: Config, start: MapStart | None = None) -> Pipeline | K
     if start is not None:
         raise ConfigError("kiss-icp cannot start from a saved map; choose the method graph")
     return KissIcpPipeline(config)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FrozenRun:
-    """The state of a run between two scans.
-
-    Attributes
-    ----------
-    fingerprint : mapping of str to str
-        What the state is bound to: method, settings, versions.
-    n_scans : int
-        Scans that were taken.
-    digest : int
-        Checksum of them.
-    state : bytes or None
-        Of `core.frozen_state`; None for a method whose state cannot be kept.
-    spools : tuple of Spool
-        What belongs to it and only grows; not to be changed.
-    """
-
-    fingerprint: Mapping[str, str]
-    n_scans: int
-    digest: int
-    state: bytes | None
-    spools: tuple[Spool, ...]
-
-    def check(self, expected: Mapping[str, str]) -> None:
-        """Refuse to go on as something else than what it is.
-
-        Raises
-        ------
-        InputError
-            The fingerprint is another one.
-        """
-        for what, text in expected.items():
-            if self.fingerprint.get(what) != text:
-                raise InputError(
-                    f"the checkpoint is of {_NAMES[what]}; run with --overwrite to begin anew, or as it was begun"
-                )
-
-
-_NAMES = {
-    "method": "another method",
-    "config": "other settings",
-    "start": "another start in a saved map",
-    "versions": "another version of this program or of its packages",
-}
 
 
 @cache

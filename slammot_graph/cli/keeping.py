@@ -89,6 +89,10 @@ class Keeping:
         failure = None if self._checkpoints is None else self._checkpoints.failure
         return [] if failure is None else [failure]
 
+    def can_go_on(self) -> bool:
+        """Tell whether there is a checkpoint to go on from."""
+        return self._file is not None and self._file.exists()
+
     def end(self) -> None:
         """Remove the checkpoint: the run is over, or its results need the space."""
         if self._file is not None:

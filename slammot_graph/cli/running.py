@@ -291,7 +291,8 @@ def _execute(
         stderr().print(f"warning: {' '.join(str(other).split())}", soft_wrap=True)
     if failures or was_interrupted:
         why = "interrupted after" if not failures else "done with all" if run.is_complete else "stopped after"
-        stderr().print(f"{why} {n_scans} scans; what was computed is in {output}", soft_wrap=True)
+        goes_on = "; --resume goes on" if keeping.can_go_on() else ""
+        stderr().print(f"{why} {n_scans} scans; what was computed is in {output}{goes_on}", soft_wrap=True)
     return Outcome(
         result=result,
         run=run,

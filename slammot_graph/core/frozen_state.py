@@ -9,7 +9,8 @@ whole odometry, and spools, which only grow.
 import importlib
 import io
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from slammot_graph.core.errors import InputError
@@ -57,6 +58,53 @@ _PARTS = frozenset(
     }
 )
 """Parts of the package whose objects are a run's state."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrozenRun:
+    """The state of a run between two scans.
+
+    Attributes
+    ----------
+    fingerprint : mapping of str to str
+        What the state is bound to: method, settings, versions.
+    n_scans : int
+        Scans that were taken.
+    digest : int
+        Checksum of them.
+    state : bytes or None
+        As `freeze` gives it; None for a method whose state cannot be kept.
+    spools : tuple of Spool
+        What belongs to it and only grows; not to be changed.
+    """
+
+    fingerprint: Mapping[str, str]
+    n_scans: int
+    digest: int
+    state: bytes | None
+    spools: tuple[Spool, ...]
+
+    def check(self, expected: Mapping[str, str]) -> None:
+        """Refuse to go on as something else than what it is.
+
+        Raises
+        ------
+        InputError
+            The fingerprint is another one.
+        """
+        for what, text in expected.items():
+            if self.fingerprint.get(what) != text:
+                raise InputError(
+                    f"the checkpoint is of {_NAMES[what]}; run with --overwrite to begin anew, or as it was begun"
+                )
+
+
+_NAMES = {
+    "method": "another method",
+    "config": "other settings",
+    "start": "another start in a saved map",
+    "versions": "another version of this program or of its packages",
+}
 
 
 def freeze(state: object, spools: Sequence[Spool], track: OdometryTrack | None) -> bytes:

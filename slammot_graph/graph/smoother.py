@@ -7,7 +7,6 @@ long chains overflow a default one.
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -73,7 +72,8 @@ class Smoother:
 
     def copy(self) -> "Smoother":
         """Give another one that is asked questions only; it shares the thread."""
-        other = copy(self)
+        other = Smoother.__new__(Smoother)
+        other.__dict__.update(self.__dict__)
         other._isam = self._in_thread(lambda: gtsam.ISAM2(self._isam))
         other._asked = []
         return other

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from slammot_graph.core.errors import InputError
+from slammot_graph.core.frozen_state import FrozenRun
 from slammot_graph.core.spool import Spool
 from slammot_graph.run_folder.atomic import replacing, write_errors
-from slammot_graph.session import FrozenRun
 
 CHECKPOINT_FILE = "run.checkpoint"
 SCANS_FILE = "run.checkpoint.scans"
@@ -71,6 +71,10 @@ class CheckpointFile:
             file.flush()
             os.fsync(file.fileno())
         self._pieces = pieces
+
+    def exists(self) -> bool:
+        """Tell whether there is one."""
+        return self._path.exists()
 
     def remove(self) -> None:
         """Remove it: the run is over."""

@@ -23,13 +23,13 @@ RUN_FILES = (
     "covariances.npz",
     "run.rrd",
     "overview.png",
-    CHECKPOINT_FILE,
-    SCANS_FILE,
     "summary.json",
 )
 """All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording
-no ``run.rrd``; only a run that has not ended has the checkpoint. Of a run that went on there may be earlier parts of
-the recording, ``run.1.rrd`` and so on."""
+no ``run.rrd``. Of a run that went on there may be earlier parts of the recording, ``run.1.rrd`` and so on."""
+
+_OWN_FILES = (*RUN_FILES, CHECKPOINT_FILE, SCANS_FILE)
+"""And what a run leaves there that has not ended."""
 
 _FIRST_FILES = (
     "run.rrd",
@@ -75,7 +75,7 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
     output = Path(output)
     _check_output(output, overwrite=overwrite)
     with write_errors(output, "remove it yourself, or name another --output"):
-        for name in RUN_FILES:
+        for name in _OWN_FILES:
             (output / name).unlink(missing_ok=True)
             temporary_path(output / name).unlink(missing_ok=True)
         for path in recording_parts(output):
@@ -129,9 +129,9 @@ def _is_run_folder(output: Path, names: list[str]) -> bool:
     try:
         summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        begun = {temporary_path(output / name).name for name in RUN_FILES}
+        begun = {temporary_path(output / name).name for name in _OWN_FILES}
         begun.update(path.name for path in recording_parts(output))
-        return begun.union(RUN_FILES).issuperset(names) and bool(
+        return begun.union(_OWN_FILES).issuperset(names) and bool(
             begun.union(_FIRST_FILES).intersection(names)
         )
     return isinstance(summary, dict) and {"method", "n_scans"} <= summary.keys()
