@@ -81,8 +81,8 @@ def experiment(options: Options) -> None:
     )
     notes = [
         f"The first {N_SCANS} scans of Intel, killed at random moments from the start of the program to its end; each"
-        f" run {N_KILLS} times, as it goes on. Readable: `load_run` reads a partial run that says so, or, before the first"
-        " scan was done, `--resume` begins. Same: "
+        f" run {N_KILLS} times, as it goes on. Readable: `load_run` reads a partial run that says so, or, before the"
+        " first scan was done, `--resume` begins. Same: "
         + ", ".join(SAME)
         + ", and summary.json but for times and memory."
     ]
