@@ -136,11 +136,7 @@ class PoseGraph:
         self._prior, self._waiting_nodes = None, []
         with self._named():
             numbers = self._smoother.add(prior, nodes, self._waiting)
-        self._factor_of.update(
-            (edge, number)
-            for edge, number in zip(self._waiting, numbers, strict=True)
-            if edge.kind == "closure"
-        )
+        self._factor_of.update(zip(self._waiting, numbers, strict=True))
         self._waiting = []
 
     @contextmanager
@@ -184,7 +180,7 @@ class PoseGraph:
         return np.nan_to_num(poses, posinf=0.0, neginf=0.0)
 
     def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
-        """Take edges of kind "closure" out again, which turned out wrong."""
+        """Take edges out again; each node must keep one that leads, over others, to the first node."""
         self.update()
         self._poses = self._snapshot = None
         known = [edge for edge in edges if edge in self._factor_of]

@@ -11,6 +11,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt
 from slammot_graph.loop_closure.config import LoopClosureConfig
+from slammot_graph.loop_closure.known_places import KnownPlaces
 from slammot_graph.loop_closure.place_finder import PlaceFinder
 from slammot_graph.loop_closure.relocalization import Relocalization
 from slammot_graph.loop_closure.submap import Submap
@@ -61,6 +62,7 @@ class LoopCloser:
         self.is_known = False
         self.blind_drives: list[tuple[int, FloatArray]] = []
         self.finder: PlaceFinder | None = None
+        self._known = KnownPlaces(graph)
 
     def start_from(
         self, submaps: list[Submap], joined: tuple[int, ...], initial_pose: FloatArray | None
@@ -123,6 +125,8 @@ class LoopCloser:
             dropped = {id(edge) for edge, _ in self.graph.dropped}
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
+        if self.is_known:
+            self._known.settle(submap.anchor, self.accepted)
         if self.is_sought(submap.component):
             attempts += self.seek(submap)
         return tuple(attempts)
@@ -277,6 +281,7 @@ class LoopCloser:
             )
             if edge is not None:
                 self.accepted.append((closure, edge))
+                self._known.visits[closure.target.anchor] += 1
 
     def _residuals2(self) -> FloatArray:
         """(k,) squared residuals of the accepted closures, each in its own covariance."""
