@@ -8,6 +8,7 @@ import pytest
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.frozen_state import FrozenRun
 from slammot_graph.core.results import RunResult
+from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.spool import Spool
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.methods import Config, get_method
@@ -74,6 +75,24 @@ def test_a_lost_robot_goes_on_too() -> None:
         run = Run(log, config=config)
         run.resume(state)
         assert_same(run.complete(), whole)
+
+
+@pytest.mark.parametrize("localize", [True, False])
+def test_a_run_from_a_saved_map_goes_on(localize: bool) -> None:
+    log = drive(80)
+    saved = Run(log).complete().saved_map
+    assert saved is not None
+    start = MapStart(saved=saved, localize=localize)
+    run, states = Run(log, start=start), []
+    for number, _ in enumerate(run, start=1):
+        if number in (5, 50):
+            states.append(kept(run.freeze()))
+    for state in states:
+        other = Run(log, start=start)
+        other.resume(state)
+        assert_same(other.complete(), run.result())
+    with pytest.raises(InputError, match="is of another start in a saved map"):
+        Run(log).resume(states[0])
 
 
 def test_a_run_goes_on_twice() -> None:
