@@ -1,7 +1,8 @@
 """What happens when something goes wrong, and which test holds it: ``python -m experiments.fault_table``.
 
 Runs the tests that each row names and prints fault, what happens, how it is tested, and the result. ``--list`` prints
-the table without running anything.
+the table without running anything; ``--page`` writes it to ``docs/faults.md``, with the figures of the experiments that
+take longer than a test may.
 """
 
 import argparse
@@ -73,6 +74,26 @@ ROWS = (
         test="tests/run_folder/test_lock.py",
     ),
     Row(
+        fault="kill -9, a power cut",
+        outcome="a partial run that can be read; `--resume` goes on, the same files in the end",
+        test="tests/test_session.py tests/test_checkpoints.py tests/cli/test_keeping.py",
+    ),
+    Row(
+        fault="a checkpoint that is damaged, or of another log, method, version",
+        outcome="one line, exit 2, all stays",
+        test="tests/run_folder/test_checkpoint.py tests/core/test_frozen_state.py",
+    ),
+    Row(
+        fault="a clock that begins again within a bag",
+        outcome="two runs by recording times, told",
+        test="tests/logs/test_bag_restarts.py",
+    ),
+    Row(
+        fault="days in one building",
+        outcome="laps in places known well hang on these alone",
+        test="tests/loop_closure/test_known_places.py",
+    ),
+    Row(
         fault="measurements or covariances out of sense; the solver throws",
         outcome="that factor is dropped with an event",
         test="tests/graph/test_pose_graph.py tests/localization/test_guarded_graph.py -k bad or taken_back or noted",
@@ -105,12 +126,41 @@ def judge(row: Row) -> str:
     return f"{n_passed} passed" + (f", {n_skipped} skipped" if n_skipped else "")
 
 
+FIGURES = ("killed_runs", "bad_disks", "fuzzed_inputs", "long_drive")
+"""Tables of experiments that belong to it."""
+
+PAGE = ROOT / "docs" / "faults.md"
+
+
+def page() -> str:
+    """``docs/faults.md``: the table without results, since `make test` runs them, and the figures of experiments."""
+    lines = [
+        "# What happens when something goes wrong",
+        "",
+        "Made by `python -m experiments.fault_table --page`; without `--page` it runs the tests.",
+        "",
+        "| fault | what happens | tests that hold it |",
+        "|---|---|---|",
+        *(f"| {row.fault} | {row.outcome} | `{row.test}` |" for row in ROWS),
+    ]
+    for name in FIGURES:
+        path = ROOT / "experiments" / "tables" / f"{name}.md"
+        if path.exists():
+            title, *rest = path.read_text(encoding="utf-8").rstrip().splitlines()
+            lines += ["", f"#{title}", *(f"#{line}" if line.startswith("## ") else line for line in rest)]
+    return "\n".join(lines) + "\n"
+
+
 def main() -> int:
     """Print the table; exit code 1 where a test fails."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--list", action="store_true", help="run nothing")
     parser.add_argument("--only", default="", help="rows whose fault has this in it")
+    parser.add_argument("--page", action="store_true", help="run nothing, write docs/faults.md")
     options = parser.parse_args()
+    if options.page:
+        PAGE.write_text(page(), encoding="utf-8")
+        return 0
     print("| fault | what happens | how tested | result |\n|---|---|---|---|")
     is_failed = False
     for row in (row for row in ROWS if options.only in row.fault):

@@ -7,6 +7,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from slammot_graph.baselines.kiss_icp import KissIcpPipeline
+from slammot_graph.core.errors import InputError
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.saved_map import SavedMap
 from slammot_graph.core.saved_map_parts import points_in_map, with_submaps, without_points
@@ -46,6 +47,31 @@ class Outcome:
     moving_points: FloatArray
     tracks: SmoothedTracks | None
     failures: dict[str, Exception]
+
+
+NOT_YET = "labels, tracks and map"
+"""What a checkpoint leaves out, as `RunResult.failures` names it."""
+
+
+def conclude_trajectory(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
+    """Compute the optimised trajectory alone, while the run goes on."""
+    why = InputError("this is a checkpoint; `slammot-graph run LOG --output DIR --resume` goes on from it")
+    failures: dict[str, Exception] = {NOT_YET: why}
+    try:
+        final = pipeline.final()
+    except Exception as error:  # the poses of the time are still worth having
+        final = kept.online_estimate()
+        failures["optimised trajectory"] = error
+    return Outcome(
+        final=final,
+        labels=None,
+        grid=_no_map(pipeline.config.grid.resolution_m),
+        changes=None,
+        is_changed=None,
+        moving_points=np.empty((0, 2)),
+        tracks=None,
+        failures=failures,
+    )
 
 
 def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:

@@ -153,6 +153,9 @@ class Observer:
     def on_map(self, step: StepResult, grid: GridMap) -> None:
         """See the map as it is after a step; comes only where `wants_map` said so."""
 
+    def on_checkpoint(self) -> None:
+        """Put what was seen where it outlives the process: a run that goes on from here does not show it again."""
+
     def on_finish(self, result: RunResult) -> None:
         """See the outcome of the whole run, complete or not."""
 
@@ -183,6 +186,11 @@ class Observers:
                 observer.on_closure(step, view)
         for observer in [observer for observer in self._observers if observer.wants_map()]:
             observer.on_map(step, view.map())
+
+    def on_checkpoint(self) -> None:
+        """See `Observer`."""
+        for observer in self._observers:
+            observer.on_checkpoint()
 
     def on_finish(self, result: RunResult) -> list[Exception]:
         """Show the result to all, whatever becomes of some of them; returns what went wrong."""

@@ -12,6 +12,7 @@ from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResult, TrackState
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.spool import Spool
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection.backward_pass import sightings_of_labels
@@ -90,6 +91,11 @@ class Pipeline:
     ) -> None:
         """Close the pipeline."""
         self.close()
+
+    @property
+    def spools(self) -> tuple[Spool, ...]:
+        """What grows with the scans."""
+        return self._history.spools
 
     def step(self, scan: Scan) -> StepResult:
         """Take in the next scan."""

@@ -2,41 +2,36 @@
 
 import weakref
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import islice
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
-from slammot_graph.baselines.kiss_icp import KissIcpConfig, KissIcpPipeline
-from slammot_graph.conclusion import Outcome, conclude
+from slammot_graph.baselines.kiss_icp import KissIcpPipeline
+from slammot_graph.conclusion import Outcome, conclude, conclude_trajectory
 from slammot_graph.core import se2
 from slammot_graph.core._numba import is_compiled
 from slammot_graph.core.config import to_plain
 from slammot_graph.core.errors import ConfigError, InputError
+from slammot_graph.core.frozen_state import FrozenRun
 from slammot_graph.core.results import RunResult, StepResult
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import FloatArray
-from slammot_graph.diagnosis import RunStatistics, as_mounted, diagnose, findings_of_map, limits_of
-from slammot_graph.kept_scans import KeptScan, KeptScans
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.diagnosis import as_mounted, diagnose, findings_of_map
 from slammot_graph.logs import describe
 from slammot_graph.logs.source import SkippedScan
 from slammot_graph.methods import Config, get_method
 from slammot_graph.observer import Observer, Observers, RunInfo
 from slammot_graph.pipeline import Pipeline
 from slammot_graph.registration._solve_kernels import match_point_to_line
+from slammot_graph.session import Session, fingerprint, make_pipeline
 from slammot_graph.tracking.smoothing import SmoothedTracks
 
-
-def make_pipeline(config: Config, start: MapStart | None = None) -> Pipeline | KissIcpPipeline:
-    """Build what a method's configuration describes, from a saved map on where one is given."""
-    if not isinstance(config, KissIcpConfig):
-        return Pipeline(config, start)
-    if start is not None:
-        raise ConfigError("kiss-icp cannot start from a saved map; choose the method graph")
-    return KissIcpPipeline(config)
+__all__ = ["Run", "has_compiled_kernels", "make_pipeline"]
 
 
 def has_compiled_kernels() -> bool:
@@ -98,7 +93,7 @@ class Run:
         self.max_scans = max_scans
         self._observers = Observers(observers)
         self.start = start
-        self._session = _Session.begin(self.config, start)
+        self._session = Session.begin(self.config, start)
         self._steps: weakref.ref[Generator[StepResult, None, None]] | None = None
 
     @property
@@ -123,23 +118,27 @@ class Run:
         """
         self.close()
         if self._session.is_started:
-            self._session = _Session.begin(self.config, self.start)
+            self._session = Session.begin(self.config, self.start)
         self._session.is_started = True
         steps = self._run(self._session)
         self._steps = weakref.ref(steps)
         return steps
 
-    def _run(self, session: "_Session") -> Generator[StepResult, None, None]:
+    def _run(self, session: Session) -> Generator[StepResult, None, None]:
         try:
             self._observers.on_start(self._info())
             session.is_observed = True
-            for scan in islice(self.log, self.max_scans):
+            scans = islice(self.log, self.max_scans)
+            if session.frozen is not None:
+                session.thaw(scans)
+            for scan in scans:
+                session.see(scan)
                 step = session.pipeline.step(scan)
                 session.kept.keep(step)
                 session.statistics.add(step)
                 self._observers.on_step(step, session.pipeline)
                 yield step
-            if not session.kept.scans:
+            if not len(session.kept):
                 raise InputError(self._why_nothing())
             session.is_complete = True
         except BaseException as error:
@@ -153,7 +152,7 @@ class Run:
         if errors:
             raise errors[0]
 
-    def _settle(self, session: "_Session") -> list[Exception]:
+    def _settle(self, session: Session) -> list[Exception]:
         """Compute what there is at the end, show it to the observers and close all; returns what went wrong."""
         errors: list[Exception] = []
         try:
@@ -198,6 +197,42 @@ class Run:
         """
         return self._result(self._session)
 
+    def trajectory(self) -> RunResult:
+        """Give what is known of all scans so far but the final labels, the tracks and the map, which take long."""
+        session = self._session
+        return self._result(session, conclude_trajectory(session.pipeline, session.kept))
+
+    def freeze(self) -> FrozenRun:
+        """Give the state between two steps, from which another `Run` of the same log can go on: see `resume`.
+
+        The observers are told, that they may keep what they have seen. For a method whose state cannot be kept the
+        state is None, and what goes on from it does all of the scans again.
+        """
+        self._observers.on_checkpoint()
+        return self._session.freeze(self._fingerprint())
+
+    def resume(self, frozen: FrozenRun) -> None:
+        """Let the next iteration go on from a state of `freeze`: it ends as one that was never interrupted, bit by bit.
+
+        It reads the log from its beginning, and yields the steps from there on.
+
+        Raises
+        ------
+        InputError
+            The state is of another method, configuration or version; later, from the iteration: of another log.
+        """
+        frozen.check(self._fingerprint())
+        self.close()
+        self._session.frozen = frozen
+
+    @property
+    def n_scans(self) -> int:
+        """Scans that the latest run has taken."""
+        return len(self._session.kept)
+
+    def _fingerprint(self) -> dict[str, str]:
+        return fingerprint(self.method, self.config, self.start)
+
     def close(self) -> None:
         """End the run if it has not ended yet; may be called twice.
 
@@ -219,84 +254,63 @@ class Run:
     ) -> None:
         self.close()
 
-    def _result(self, session: "_Session") -> RunResult:
-        outcome = session.outcome or conclude(session.pipeline, session.kept)
+    def _result(self, session: Session, outcome: Outcome | None = None) -> RunResult:
+        outcome = outcome or session.outcome or conclude(session.pipeline, session.kept)
         kept, final = session.kept, outcome.final
-        scans, n = kept.scans, len(kept.scans)
-        online = _padded([scan.is_moving for scan in scans])
+        rows = kept.rows()
+        is_valid, online, p_moving = kept.beams()
         is_moving = online if outcome.labels is None else _padded(outcome.labels)
-        stage_names = list(dict.fromkeys(name for scan in scans for name in scan.stage_ms))
         log, report = describe(self.log), session.pipeline.odometry_report()
-        tracks_online = np.array(kept.tracks).reshape(-1, 10)
+        tracks_online = np.array(kept.tracks, dtype=np.float64).reshape(-1, 10)
         is_track_seen = is_seen_online = np.array(kept.is_track_seen, dtype=np.bool_)
         tracks = tracks_online
         if outcome.tracks is not None:
-            tracks, is_track_seen = _track_rows(outcome.tracks, scans), outcome.tracks.is_seen
-        T_world_base = [scan.T_world_base for scan in scans if scan.T_world_base is not None]
+            tracks, is_track_seen = _track_rows(outcome.tracks, rows), outcome.tracks.is_seen
         return RunResult(
             method=self.method,
             config=to_plain(self.config),
-            stamps=np.array([scan.stamp for scan in scans], dtype=np.float64),
+            stamps=rows["stamp"].copy(),
             T_map_base=final.T_map_base,
-            T_map_odom_base=_odometry_in_map([scan.T_odom_base for scan in scans], final.T_map_base),
+            T_map_odom_base=_odometry_in_map(rows["T_odom_base"], final.T_map_base),
             cov_map=final.cov_map,
-            is_valid=_padded([scan.is_valid for scan in scans]),
+            is_valid=is_valid,
             is_moving=is_moving,
             is_moving_online=online,
-            p_moving=_padded([scan.p_moving for scan in scans], fill=np.nan),
+            p_moving=p_moving,
             moving_points=outcome.moving_points,
             tracks=tracks,
             is_track_seen=is_track_seen,
             tracks_online=tracks_online,
             is_track_online_seen=is_seen_online,
-            T_map_base_online=np.array([scan.T_map_base for scan in scans]).reshape(-1, 3),
+            T_map_base_online=rows["T_map_base"].copy(),
             objects=() if outcome.tracks is None else outcome.tracks.objects,
             grid=outcome.grid,
             node_scans=final.node_scans,
             nodes=final.nodes,
             edges=final.edges,
-            stage_ms={
-                name: np.array([scan.stage_ms.get(name, 0.0) for scan in scans]) for name in stage_names
-            },
-            nis=np.array([scan.nis for scan in scans], dtype=np.float64),
-            anchor_scans=np.array([scan.anchor_scan for scan in scans], dtype=np.int64),
-            T_anchor_base=np.array([scan.T_anchor_base for scan in scans]).reshape(-1, 3),
-            cov_anchor_base=np.array([scan.cov_anchor_base for scan in scans]).reshape(-1, 3, 3),
-            T_world_base=np.array(T_world_base) if n and len(T_world_base) == n else None,
+            stage_ms=kept.stage_ms(),
+            nis=rows["nis"].copy(),
+            anchor_scans=rows["anchor_scan"].copy(),
+            T_anchor_base=rows["T_anchor_base"].copy(),
+            cov_anchor_base=rows["cov_anchor_base"].copy(),
+            T_world_base=rows["T_world_base"].copy() if len(rows) and rows["has_truth"].all() else None,
             n_failed_matches=kept.n_failed,
             n_skipped=len(_skipped(self.log)),
             events=tuple(kept.events),
             is_complete=session.is_complete and not outcome.failures,
             log=log,
             failures=tuple(f"{what}: {error}" for what, error in outcome.failures.items()),
-            health=np.array([scan.health for scan in scans], dtype="<U13"),
+            health=kept.health(),
             odometry=report,
             verdict=(
                 *diagnose(session.statistics, report, log.warnings),
                 *findings_of_map(outcome.grid, self.config.grid.resolution_m),
             ),
-            laser=np.array([scan.laser for scan in scans], dtype=np.int64),
+            laser=rows["laser"].astype(np.int64),
             saved_map=final.saved_map,
             is_changed=None if outcome.is_changed is None else _padded(outcome.is_changed),
             **_changed_cells(outcome),
         )
-
-
-@dataclass(eq=False)
-class _Session:
-    """One pass over the source."""
-
-    pipeline: Pipeline | KissIcpPipeline
-    statistics: RunStatistics
-    kept: KeptScans = field(default_factory=KeptScans)
-    outcome: Outcome | None = None
-    is_started: bool = False
-    is_observed: bool = False
-    is_complete: bool = False
-
-    @classmethod
-    def begin(cls, config: Config, start: MapStart | None) -> Self:
-        return cls(make_pipeline(config, start), RunStatistics(limits_of(config)))
 
 
 def _changed_cells(outcome: Outcome) -> dict[str, FloatArray]:
@@ -306,9 +320,9 @@ def _changed_cells(outcome: Outcome) -> dict[str, FloatArray]:
     return {"new_points": outcome.changes.new_points, "gone_points": outcome.changes.gone_points}
 
 
-def _track_rows(tracks: SmoothedTracks, scans: Sequence[KeptScan]) -> FloatArray:
+def _track_rows(tracks: SmoothedTracks, rows: npt.NDArray[Any]) -> FloatArray:
     """(k, 10) rows of smoothed tracks, the columns `TRACK_COLUMNS`."""
-    stamps, indices = np.array([(scan.stamp, scan.index) for scan in scans]).reshape(-1, 2)[tracks.scans].T
+    stamps, indices = rows["stamp"][tracks.scans], rows["index"][tracks.scans]
     covs = tracks.covs[:, [0, 0, 1], [0, 1, 1]]
     return np.column_stack([stamps, tracks.ids, tracks.states, covs, indices])
 
@@ -318,21 +332,18 @@ def _skipped(log: Any) -> Sequence[SkippedScan]:
     return getattr(log, "skipped", ())
 
 
-def _odometry_in_map(poses: Sequence[FloatArray | None], T_map_base: FloatArray) -> FloatArray:
+def _odometry_in_map(T_odom_base: FloatArray, T_map_base: FloatArray) -> FloatArray:
     """(n, 3) odometry, moved to start where the trajectory (n, 3) does; NaN where there is none."""
-    T_odom_base = np.array([np.full(3, np.nan) if pose is None else pose for pose in poses]).reshape(-1, 3)
     known = np.flatnonzero(np.isfinite(T_odom_base[:, 0]))
     if not len(known):
-        return T_odom_base
+        return T_odom_base.copy()
     start = se2.compose(T_map_base[known[0]], se2.inverse(T_odom_base[known[0]]))
     return se2.compose(start[None, :], T_odom_base)
 
 
-def _padded(rows: list[np.ndarray], fill: float = 0.0) -> np.ndarray:
+def _padded(rows: Sequence[BoolArray]) -> BoolArray:
     """Stack rows of different lengths into (n, longest), filled up at the end."""
-    if not rows:
-        return np.zeros((0, 0), dtype=np.bool_)
-    out = np.full((len(rows), max(map(len, rows))), fill, dtype=rows[0].dtype)
+    out = np.zeros((len(rows), max(map(len, rows), default=0)), dtype=np.bool_)
     for k, row in enumerate(rows):
         out[k, : len(row)] = row
     return out

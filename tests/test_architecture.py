@@ -30,10 +30,11 @@ LAYERS = (
     ("pipeline",),
     ("methods",),
     ("observer", "diagnosis", "conclusion", "kept_scans"),
+    ("session",),
     ("run",),
     ("run_folder", "viz"),
     ("viz/rerun",),
-    ("saving",),
+    ("saving", "checkpoints"),
     ("cli",),
     ("__main__", "__init__"),
 )
@@ -73,6 +74,7 @@ CLI_MAY_IMPORT = {
     "saving": "`run` and `demo`",
     "saved_maps": "`merge` and `edit`",
     "mapping": "the picture of a merged or edited map",
+    "checkpoints": "`run`",
     "__init__": "`__version__`",
 }
 """What the command line may import, and for what; the parts of a method are not among it."""

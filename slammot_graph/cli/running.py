@@ -28,6 +28,7 @@ from slammot_graph.cli.console import (
     warn_of,
 )
 from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice
+from slammot_graph.cli.keeping import Keeping
 from slammot_graph.cli.logs import write_simulation
 from slammot_graph.cli.run_table import Outcome, run_table
 from slammot_graph.core.errors import InputError
@@ -74,6 +75,8 @@ def run_command(
     initial_pose: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y YAW")] = None,
     rerun: RerunMode = "file",
     overwrite: bool = False,
+    resume: bool = False,
+    checkpoint_every: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0,
 ) -> int:
     """Run a method over a log and write its run folder.
 
@@ -120,12 +123,22 @@ def run_command(
         Record run.rrd, stream to a viewer, or neither.
     overwrite
         Replace a run that is already in the folder.
+    resume
+        Go on with the interrupted run in the folder, given all else as it was begun; begin where there is none.
+    checkpoint_every
+        How often to write what such a run goes on from [s], at most 2 % of the time; 0: never.
     """
     from slammot_graph.core.config import load_config
     from slammot_graph.logs import open_log, source_of
     from slammot_graph.methods import get_method
 
     check_max_scans(max_scans)
+    if not checkpoint_every >= 0.0:
+        raise InputError(f"--checkpoint-every must be 0 or more seconds, not {checkpoint_every}")
+    if resume and overwrite:
+        raise InputError(
+            "--resume goes on with the run in the folder, --overwrite replaces it; pass one of them"
+        )
     settings = get_method(method).config
     if config is not None:
         with printed_deprecations():
@@ -150,19 +163,20 @@ def run_command(
     from slammot_graph.diagnosis import inspect_first, limits_of
     from slammot_graph.run import Run
 
+    keeping = Keeping(output, every_s=checkpoint_every, resume=resume)
     run = Run(
         opened,
         method,
         config=settings,
         max_range_m=None if math.isinf(max_range) else max_range,
         max_scans=max_scans,
-        observers=_observers(output, rerun),
+        observers=_observers(output, rerun, keeping.recording_id),
         start=_map_start(map_folder, localize, initial_pose),
     )
     opened = cast("LaserLog", run.log)
     early = inspect_first(opened, limits_of(run.config))
     warn_of(opened, early)
-    outcome = _execute(run, opened, output, overwrite=overwrite)
+    outcome = _execute(run, opened, output, overwrite=overwrite, keeping=keeping)
     told = {finding.kind for finding in early}
     warn_of(opened, [finding for finding in outcome.result.verdict if finding.kind not in told])
     if run.start is not None and (outcome.result.health == "lost").all():
@@ -237,11 +251,15 @@ def demo_command(*, output: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path
     return EXIT_OK
 
 
-def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> Outcome:
+def _execute(
+    run: "Run", log: "LaserLog", output: Path, *, overwrite: bool, keeping: Keeping | None = None
+) -> Outcome:
     """Run to the end, or until Ctrl-C or an error; what was computed is written in any case."""
     from slammot_graph.run_folder.directory import claimed_output
 
-    with claimed_output(output, overwrite=overwrite):
+    keeping = keeping or Keeping(output)
+    with claimed_output(output, overwrite=overwrite, resume=keeping.resume):
+        keeping.begin(run)
         _announce_compilation()
         failures: list[Exception] = []
         n_scans = 0
@@ -249,17 +267,23 @@ def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> O
             try:
                 with run, scan_progress(log, run.method, run.max_scans) as show:
                     steps = iter(run)  # held, so that leaving the run is what ends it
-                    for n_scans, _ in enumerate(steps, start=1):
+                    for _ in steps:
+                        n_scans = run.n_scans
                         show(n_scans)
+                        keeping.after_step()
                         if is_interrupted():
+                            keeping.interrupted()
                             break
             except Exception as error:  # a truncated log, a full disk: first save, then say so
                 if n_scans == 0:
                     raise
                 failures.append(error)
             result = run.result()
-            failures += _write(result, output)
+            failures += keeping.failures()
+            failures += _write(result, output, keeping)
         was_interrupted = is_interrupted()
+        if not was_interrupted:
+            keeping.end()
     warn(log)
     for text in result.failures:
         stderr().print(f"warning: could not be computed: {text}", soft_wrap=True)
@@ -267,7 +291,8 @@ def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> O
         stderr().print(f"warning: {' '.join(str(other).split())}", soft_wrap=True)
     if failures or was_interrupted:
         why = "interrupted after" if not failures else "done with all" if run.is_complete else "stopped after"
-        stderr().print(f"{why} {n_scans} scans; what was computed is in {output}", soft_wrap=True)
+        goes_on = "; --resume goes on" if keeping.can_go_on() else ""
+        stderr().print(f"{why} {n_scans} scans; what was computed is in {output}{goes_on}", soft_wrap=True)
     return Outcome(
         result=result,
         run=run,
@@ -278,7 +303,7 @@ def _execute(run: "Run", log: "LaserLog", output: Path, *, overwrite: bool) -> O
     )
 
 
-def _write(result: "RunResult", output: Path) -> list[Exception]:
+def _write(result: "RunResult", output: Path, keeping: Keeping) -> list[Exception]:
     """Write what was computed, at the expense of the recording where the disk is full; returns what went wrong."""
     from slammot_graph.saving import write_run
 
@@ -287,8 +312,11 @@ def _write(result: "RunResult", output: Path) -> list[Exception]:
         write_run(result, output)
     except Exception as error:
         is_full = isinstance(error.__cause__, OSError) and error.__cause__.errno in FULL
-        if not (is_full and recording.exists()):
+        if not is_full:
             return [error]
+        keeping.end()
+        if not recording.exists():
+            return _written(result, output)
     else:
         return []
     try:
@@ -299,6 +327,16 @@ def _write(result: "RunResult", output: Path) -> list[Exception]:
     return [
         InputError(f"{recording}: removed, to make room for the results; free some space or pass --rerun off")
     ]
+
+
+def _written(result: "RunResult", output: Path) -> list[Exception]:
+    from slammot_graph.saving import write_run
+
+    try:
+        write_run(result, output)
+    except Exception as error:
+        return [error]
+    return []
 
 
 @cache
@@ -312,13 +350,14 @@ def _announce_compilation() -> None:
         )
 
 
-def _observers(output: Path, mode: RerunMode) -> "list[Observer]":
+def _observers(output: Path, mode: RerunMode, recording_id: str | None = None) -> "list[Observer]":
     """Make what watches a run: its recording, unless there is none."""
     if mode == "off":
         return []
     from slammot_graph.viz.rerun.run import RerunRecording
 
-    return [RerunRecording(path=output / "run.rrd" if mode == "file" else None, spawn=mode == "spawn")]
+    path = output / "run.rrd" if mode == "file" else None
+    return [RerunRecording(path=path, spawn=mode == "spawn", recording_id=recording_id)]
 
 
 @contextlib.contextmanager

@@ -35,13 +35,15 @@ def view_command(directory: Annotated[Path, tyro.conf.arg(metavar="DIR")], /) ->
             raise InputError(f"{path}: no such recording; run it again without --rerun off")
         raise InputError(f"{directory}: no such run folder or recording; check the path")
 
+    from slammot_graph.run_folder.directory import recording_parts
     from slammot_graph.viz.rerun.primitives import viewer_executable
 
     viewer = viewer_executable()
     if viewer is None:
         raise InputError("no rerun viewer in this environment; pip install rerun-sdk")
     nowhere = subprocess.DEVNULL  # the viewer talks a lot
-    code = subprocess.run([viewer, path], check=False, stdout=nowhere, stderr=nowhere).returncode
+    parts = recording_parts(directory) if path != directory else []
+    code = subprocess.run([viewer, *parts, path], check=False, stdout=nowhere, stderr=nowhere).returncode
     if code != 0:
         advice = f"copy {path.name} to a machine with a display"
         if path != directory:

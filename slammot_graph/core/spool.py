@@ -52,7 +52,21 @@ class Spool:
             return bytes(self._latest[first : first + n])
         self._is_at_end = False
         self._file.seek(place)
-        return self._file.read(n)
+        data = self._file.read(n)
+        while len(data) < n and (more := self._file.read(n - len(data))):  # the system gives 2 GB at a time
+            data += more
+        return data
+
+    def read_some(self, place: int, most: int) -> bytes:
+        """Give at most so many bytes from any place on; none at the end."""
+        if place < self._in_file:
+            return self.read(place, min(most, self._in_file - place))
+        return self.read(place, min(most, self.n_bytes - place))
+
+    def since(self, place: int) -> bytes:
+        """Give all from a place on, where something was added."""
+        n_in_file = max(self._in_file - place, 0)
+        return self.read(place, n_in_file) + bytes(self._latest[max(place - self._in_file, 0) :])
 
     def close(self) -> None:
         """Give the temporary file back."""

@@ -122,6 +122,11 @@ class ScanHistory(Sequence[ScanRecord]):
         return self._unpack(range(len(self))[k])
 
     @property
+    def spools(self) -> tuple[Spool, ...]:
+        """What grows with the scans."""
+        return (self._spool,)
+
+    @property
     def n_lasers(self) -> int:
         """Lasers of the robot that took them."""
         return len(set(self.laser_numbers))

@@ -1,6 +1,6 @@
 """The pose graph, and its factors around the local map.
 
-`pose_graph` is the only importer of gtsam. Imports `core`.
+`smoother` is the only importer of gtsam. Imports `core`.
 """
 
 from slammot_graph.graph.local_factors import LocalFactors

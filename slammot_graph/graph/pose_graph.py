@@ -1,48 +1,22 @@
-"""The pose graph on GTSAM's ISAM2: odometry factors with R_r, match factors, marginal covariances.
+"""The pose graph: odometry factors with R_r, match factors, marginal covariances; solved by `smoother.py`."""
 
-The only importer of gtsam. Every call into gtsam is made in one thread with a large stack, since its
-recursions over long chains overflow a default one.
-"""
-
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
-import gtsam
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.checks import Checked, Positive
 from slammot_graph.core.errors import SlammotError
-from slammot_graph.core.linalg import eigh3, is_covariance
+from slammot_graph.core.linalg import is_covariance
 from slammot_graph.core.results import EdgeKind, GraphEdge
 from slammot_graph.core.types import FloatArray
+from slammot_graph.graph.smoother import PoseGraphConfig, Smoother, root_information
 
-T = TypeVar("T")
-
-STACK_BYTES = 256 << 20
+__all__ = ["PoseGraph", "PoseGraphConfig"]
 
 _N_STEPS_ANEW = 10  # of Gauss and Newton, from poses that may have been shifted by what is taken back
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseGraphConfig(Checked):
-    """Settings of the incremental smoother.
-
-    Attributes
-    ----------
-    prior_std_m, prior_std_rad : float
-        Of the first node, which is where the map's frame lies.
-    relinearize_threshold : float
-        A node that moved by more than this [m, rad] is linearised again.
-    """
-
-    prior_std_m: Positive = 1e-4
-    prior_std_rad: Positive = 1e-4
-    relinearize_threshold: Positive = 0.02
 
 
 class PoseGraph:
@@ -60,21 +34,25 @@ class PoseGraph:
         self.edges: list[GraphEdge] = []
         self.dropped: list[tuple[GraphEdge, str]] = []
         self._n_nodes = 0
+        self._prior: FloatArray | None = None
+        self._waiting_nodes: list[tuple[int, FloatArray]] = []
         self._waiting: list[GraphEdge] = []
-        self._factor_of: dict[int, int] = {}
+        self._factor_of: dict[GraphEdge, int] = {}
         self._poses: FloatArray | None = None
         self._snapshot: PoseGraph | None = None
-        self._isam = _smoother(config)
-        self._new_factors = gtsam.NonlinearFactorGraph()
-        self._new_values = gtsam.Values()
-        self._thread = _large_stack_thread()
+        self._smoother = Smoother(config)
 
     def __len__(self) -> int:
         return self._n_nodes
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Give all but the copy that is asked questions."""
+        return {**self.__dict__, "_snapshot": None}
+
     def start(self, T_map_base: FloatArray) -> int:
         """Add the first node, held by the prior; returns its number, 0."""
-        self._add_prior(T_map_base)
+        self._prior = T_map_base.copy()
+        self._waiting_nodes.append((0, T_map_base.copy()))
         self._n_nodes = 1
         self.update()
         return 0
@@ -91,7 +69,7 @@ class PoseGraph:
         if not np.isfinite(T_map_base).all():
             raise SlammotError(f"the pose of node {node} is not finite")
         self._snapshot = None
-        self._new_values.insert(node, _pose(T_map_base))
+        self._waiting_nodes.append((node, T_map_base.copy()))
         self._n_nodes += 1
         return node
 
@@ -144,30 +122,32 @@ class PoseGraph:
         SlammotError
             The graph cannot be solved, as when a node has no edge; it is of no use from then on.
         """
-        if self._new_factors.size() == 0 and self._new_values.size() == 0:
+        if self._prior is None and not self._waiting_nodes and not self._waiting:
             return
         self._poses = None
-        values = self._new_values
+        nodes = self._waiting_nodes
         try:
-            result = self._take_in_new()
+            self._take_in_new()
         except SlammotError as error:
-            self._roll_back(values, error)
-            return
-        self._number_factors(result)
+            self._roll_back(nodes, error)
 
-    def _take_in_new(self) -> gtsam.ISAM2Result:
-        factors, values = self._new_factors, self._new_values
-        self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        return self._in_thread(lambda: self._isam.update(factors, values))
-
-    def _number_factors(self, result: gtsam.ISAM2Result) -> None:
-        indices = list(result.getNewFactorsIndices())
-        for edge, index in zip(self._waiting, indices[len(indices) - len(self._waiting) :], strict=True):
-            if edge.kind == "closure":
-                self._factor_of[id(edge)] = int(index)
+    def _take_in_new(self) -> None:
+        prior, nodes = self._prior, self._waiting_nodes
+        self._prior, self._waiting_nodes = None, []
+        with self._named():
+            numbers = self._smoother.add(prior, nodes, self._waiting)
+        self._factor_of.update(zip(self._waiting, numbers, strict=True))
         self._waiting = []
 
-    def _roll_back(self, new: gtsam.Values, error: SlammotError) -> None:
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Say which graph it is that the smoother cannot solve."""
+        try:
+            yield
+        except SlammotError as error:
+            raise SlammotError(f"the pose graph of {self._n_nodes} nodes {error}") from error.__cause__
+
+    def _roll_back(self, new: Sequence[tuple[int, FloatArray]], error: SlammotError) -> None:
         """Solve the graph anew without what the smoother has just failed on."""
         poses = self._poses_after_failure(new)
         waiting, edges = self._waiting, self.edges
@@ -178,9 +158,9 @@ class PoseGraph:
             self.edges = [edge for edge in edges if id(edge) not in gone]
             try:
                 self._begin_anew(poses)
-                self._number_factors(self._take_in_new())
+                self._take_in_new()
                 for _ in range(_N_STEPS_ANEW):
-                    self._in_thread(self._isam.update)
+                    self._smoother.iterate()
             except SlammotError:
                 continue
             self.dropped += [(edge, str(error)) for edge in gone.values()]
@@ -188,38 +168,26 @@ class PoseGraph:
         self.edges = edges
         raise error
 
-    def _poses_after_failure(self, new: gtsam.Values) -> FloatArray:
+    def _poses_after_failure(self, new: Sequence[tuple[int, FloatArray]]) -> FloatArray:
         """(n, 3) poses to begin with again: what the smoother still knows, first guesses, or along the odometry."""
-        poses = np.zeros((self._n_nodes, 3))
-        is_known = np.zeros(self._n_nodes, dtype=np.bool_)
-        try:
-            known = self._in_thread(self._isam.calculateEstimate)
-        except SlammotError:
-            known = gtsam.Values()
-        for node in range(self._n_nodes):
-            values = known if known.exists(node) else new
-            if values.exists(node):
-                poses[node] = _plain(values.atPose2(node))
-                is_known[node] = np.isfinite(poses[node]).all()
+        poses = self._smoother.known_poses(self._n_nodes)
+        for node, guess in new:
+            if np.isnan(poses[node]).all():
+                poses[node] = guess
         for edge in self.edges:
-            if edge.kind == "odometry" and not is_known[edge.to_node]:
+            if edge.kind == "odometry" and not np.isfinite(poses[edge.to_node]).all():
                 poses[edge.to_node] = se2.compose(poses[edge.from_node], edge.T_from_to)
-        return poses
+        return np.nan_to_num(poses, posinf=0.0, neginf=0.0)
 
     def remove_edges(self, edges: Sequence[GraphEdge]) -> None:
-        """Take edges of kind "closure" out again, which turned out wrong."""
+        """Take edges out again; each node must keep one that leads, over others, to the first node."""
         self.update()
         self._poses = self._snapshot = None
-
-        def remove() -> None:
-            parameters = gtsam.ISAM2UpdateParams()
-            known = [id(edge) for edge in edges if id(edge) in self._factor_of]
-            parameters.removeFactorIndices = [self._factor_of.pop(one) for one in known]
-            self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), parameters)
+        known = [edge for edge in edges if edge in self._factor_of]
+        with self._named():
+            self._smoother.remove([self._factor_of.pop(edge) for edge in known])
             for _ in range(2):
-                self._isam.update()
-
-        self._in_thread(remove)
+                self._smoother.iterate()
         gone = {id(edge) for edge in edges}
         self.edges = [edge for edge in self.edges if id(edge) not in gone]
 
@@ -235,33 +203,30 @@ class PoseGraph:
         """
         self._begin_anew(poses)
         self.update()
-        self._in_thread(self._isam.update)
+        with self._named():
+            self._smoother.iterate()
         self._poses = None
 
     def _begin_anew(self, poses: FloatArray) -> None:
         """Let the prior, nodes at these poses and all edges wait for a new smoother."""
-        self._isam = _smoother(self.config)
+        self._smoother.begin_anew()
         self._snapshot = self._poses = None
-        self._factor_of, self._waiting = {}, []
-        self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._add_prior(poses[0])
-        for node, pose in enumerate(poses[1:], start=1):
-            self._new_values.insert(node, _pose(pose))
-        for edge in self.edges:
-            self._add_factor(edge)
+        self._factor_of, self._waiting = {}, list(self.edges)
+        self._prior = poses[0].copy()
+        self._waiting_nodes = [(node, pose.copy()) for node, pose in enumerate(poses)]
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
         self.update()
-        return self._in_thread(lambda: _plain(self._isam.calculateEstimatePose2(node)))
+        with self._named():
+            return self._smoother.pose(node)
 
     def poses(self) -> FloatArray:
         """(n, 3) optimised poses of all nodes, map frame."""
         self.update()
         if self._poses is None:
-            values = self._in_thread(self._isam.calculateBestEstimate)
-            poses = np.asarray(gtsam.utilities.extractPose2(values), dtype=np.float64)
-            self._poses = poses.reshape(-1, 3)
+            with self._named():
+                self._poses = self._smoother.poses()
         return self._poses.copy()
 
     def snapshot(self) -> "PoseGraph":
@@ -278,8 +243,9 @@ class PoseGraph:
         """
         if self._snapshot is None:
             other = copy(self)
-            other._isam = self._in_thread(lambda: gtsam.ISAM2(self._isam))
+            other._smoother = self._smoother.copy()
             other.edges, other._waiting, other.dropped = list(self.edges), list(self._waiting), []
+            other._waiting_nodes = list(self._waiting_nodes)
             other._factor_of = dict(self._factor_of)
             other.update()
             self._snapshot = other
@@ -288,108 +254,33 @@ class PoseGraph:
     def marginal(self, node: int) -> FloatArray:
         """(3, 3) absolute covariance of a node, right perturbation (body frame)."""
         self.update()
-        cov = np.asarray(self._in_thread(lambda: self._isam.marginalCovariance(node)), dtype=np.float64)
+        with self._named():
+            cov = self._smoother.marginal(node)
         return _checked(cov, f"node {node}")
 
     def marginals(self) -> FloatArray:
         """(n, 3, 3) absolute covariances of all nodes, right perturbation (body frame)."""
         self.update()
-
-        def all_marginals() -> FloatArray:
-            return np.array([self._isam.marginalCovariance(k) for k in range(self._n_nodes)])
-
-        return self._in_thread(all_marginals)
+        with self._named():
+            return self._smoother.marginals(self._n_nodes)
 
     def relative_covariance(self, anchor: int, node: int) -> FloatArray:
-        """(3, 3) covariance of a node relative to an anchor, right perturbation (body frame of `node`).
-
-        From the joint marginal J of both: ``H J H'`` with ``H = [-Ad(T_node_anchor) | I]``.
-        """
+        """(3, 3) covariance of a node relative to an anchor, right perturbation (body frame of `node`)."""
         if anchor == node:
             return np.zeros((3, 3))
         self.update()
-
-        def query() -> tuple[FloatArray, gtsam.Pose2]:
-            joint = self._isam.jointMarginalCovariance([anchor, node]).fullMatrix()
-            T_anchor_node = self._isam.calculateEstimatePose2(anchor).between(
-                self._isam.calculateEstimatePose2(node)
-            )
-            return np.asarray(joint, dtype=np.float64), T_anchor_node
-
-        joint, T_anchor_node = self._in_thread(query)
-        H = np.hstack([-T_anchor_node.inverse().AdjointMap(), np.eye(3)])
-        return _checked(H @ joint @ H.T, f"node {node} relative to node {anchor}")
-
-    def _add_prior(self, T_map_base: FloatArray) -> None:
-        sigmas = np.array([self.config.prior_std_m, self.config.prior_std_m, self.config.prior_std_rad])
-        pose = _pose(T_map_base)
-        self._new_factors.add(gtsam.PriorFactorPose2(0, pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
-        self._new_values.insert(0, pose)
+        with self._named():
+            cov = self._smoother.relative_covariance(anchor, node)
+        return _checked(cov, f"node {node} relative to node {anchor}")
 
     def _add_factor(self, edge: GraphEdge) -> None:
-        noise = _noise(edge)
+        root_information(edge)  # refuses it before it waits
         self._snapshot = None
-        between = gtsam.BetweenFactorPose2(edge.from_node, edge.to_node, _pose(edge.T_from_to), noise)
-        self._new_factors.add(between)
         self._waiting.append(edge)
 
     def close(self) -> None:
         """End the graph's thread."""
-        self._thread.shutdown(wait=True)
-
-    def _in_thread(self, call: Callable[[], T]) -> T:
-        try:
-            return self._thread.submit(call).result()
-        except (RuntimeError, IndexError, ValueError) as error:
-            cause = next(iter(str(error).strip().splitlines()), type(error).__name__)
-            raise SlammotError(
-                f"the pose graph of {self._n_nodes} nodes cannot be solved: {cause}"
-            ) from error
-
-
-def _smoother(config: PoseGraphConfig) -> gtsam.ISAM2:
-    parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")
-    parameters.setRelinearizeThreshold(config.relinearize_threshold)
-    parameters.relinearizeSkip = 1
-    parameters.enablePartialRelinearizationCheck = True
-    return gtsam.ISAM2(parameters)
-
-
-def _large_stack_thread() -> ThreadPoolExecutor:
-    """One worker thread with a stack of `STACK_BYTES`, started now so that no other thread gets it."""
-    before = threading.stack_size(STACK_BYTES)
-    try:
-        executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="pose-graph")
-        executor.submit(int).result()
-    finally:
-        threading.stack_size(before)
-    return executor
-
-
-def _pose(T_a_b: FloatArray) -> gtsam.Pose2:
-    return gtsam.Pose2(float(T_a_b[0]), float(T_a_b[1]), float(T_a_b[2]))
-
-
-def _plain(pose: gtsam.Pose2) -> FloatArray:
-    return np.array([pose.x(), pose.y(), pose.theta()])
-
-
-def _noise(edge: GraphEdge) -> gtsam.noiseModel.Gaussian:
-    """Square-root information with a floor, since gtsam takes a rank-deficient matrix in silence."""
-    name = f"{edge.kind} edge {edge.from_node}-{edge.to_node}"
-    if not (np.isfinite(edge.T_from_to).all() and np.isfinite(edge.information).all()):
-        raise SlammotError(f"{name} is not finite")
-    a, b = edge.information, edge.information.T
-    if (np.abs(a - b) > 1e-8 + 1e-6 * np.abs(b)).any():
-        raise SlammotError(f"the information of {name} is not symmetric")
-    values, vectors = np.empty(3), np.empty((3, 3))
-    eigh3(edge.information, values, vectors)
-    largest = values.max()
-    if not largest > 0.0 or values.min() < -1e-6 * largest:
-        raise SlammotError(f"the information of {name} is not positive semi-definite")
-    root = np.sqrt(np.maximum(values, 1e-9 * largest))[:, None] * vectors.T
-    return gtsam.noiseModel.Gaussian.SqrtInformation(root)
+        self._smoother.close()
 
 
 def _checked(cov: FloatArray, name: str) -> FloatArray:

@@ -239,7 +239,7 @@ class GraphInsertion:
             submaps.append(
                 Submap(self._n_submaps, unfinished, path_m, self.n_times_lost, self._config.closure.submap)
             )
-        submaps += [] if self.closer is None else self.closer.known or []
+        submaps += [] if self.closer is None else self.closer.places.submaps or []
         component, old_scans, old_runs, edits = 0, list[int](), tuple[SavedRun, ...](), tuple[str, ...]()
         if self._saved is not None:
             component, edits = first_component(self._saved), self._saved.edits
@@ -259,7 +259,7 @@ class GraphInsertion:
     @property
     def n_spare(self) -> int:
         """How many local maps at the end of the saved ones show known places."""
-        return 0 if self.closer is None else len(self.closer.known or [])
+        return 0 if self.closer is None else len(self.closer.places.submaps or [])
 
     def earlier_map(self, nodes: FloatArray) -> SavedMap | None:
         """Give the map that the run started from, its nodes corrected; None unless all of the run lies in it."""

@@ -27,6 +27,7 @@ from slammot_graph.logs.bag_odometry import (
     share_a_clock,
     why_left_out,
 )
+from slammot_graph.logs.bag_restarts import told_restarts
 from slammot_graph.logs.bag_scans import (
     ScanHeaders,
     find_lasers,
@@ -277,6 +278,12 @@ def _mounting_source(found: FoundMounting | None) -> dict[str, object]:
 def _stamps(headers: ScanHeaders, found: BagOdometry) -> tuple[FloatArray, bool, list[str]]:
     """Stamps of the scans (n,) [s], whether they are the headers', and warnings."""
     by_header = mended(headers.stamps)
+    main = headers.laser == headers.laser[headers.laser >= 0][0]
+    of_odometry = np.array([sample.header_stamp for sample in found.samples])
+    restarted = told_restarts(headers.stamps[main], headers.bag_stamps[main], of_odometry)
+    if restarted:
+        by_recorder = mended(headers.bag_stamps)
+        return by_recorder.stamps, False, [restarted, *by_recorder.warnings]
     has_clock = share_a_clock(headers.stamps, headers.bag_stamps, found.samples)
     if len(headers.numbers) > 1 and lags_differ(headers, MAX_CLOCK_DIFFERENCE_S):
         has_clock = False

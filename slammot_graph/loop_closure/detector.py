@@ -11,6 +11,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt
 from slammot_graph.loop_closure.config import LoopClosureConfig
+from slammot_graph.loop_closure.known_places import KnownPlaces
 from slammot_graph.loop_closure.place_finder import N_AT_ONCE, N_AT_ONCE_LOST, PlaceFinder
 from slammot_graph.loop_closure.relocalization import Relocalization
 from slammot_graph.loop_closure.submap import Submap
@@ -48,8 +49,7 @@ class LoopCloser:
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     finder : PlaceFinder or None
         Looks all over a saved map that the run started from, or the run's own map once the robot was lost.
-    known : list of Submap or None
-        Those that showed a known place, of a run that started from a saved map.
+    places : KnownPlaces
     first_nodes : dict of int to int
         First node of a component, where it is not that of its first local map.
     """
@@ -65,8 +65,8 @@ class LoopCloser:
         self.is_known = False
         self.blind_drives: list[tuple[int, FloatArray]] = []
         self.finder: PlaceFinder | None = None
-        self.known: list[Submap] | None = None
         self.first_nodes: dict[int, int] = {}
+        self.places = KnownPlaces(graph)
 
     def start_from(
         self, submaps: list[Submap], joined: tuple[int, ...], initial_pose: FloatArray | None
@@ -76,7 +76,7 @@ class LoopCloser:
         A component that is not joined is looked for all over the map from now on; the first one near a pose (3,) where
         one is given.
         """
-        self.submaps, self.known = list(submaps), []
+        self.submaps, self.places.submaps = list(submaps), []
         self.relocalization.joined = set(joined)
         targets = [submap for submap in submaps if submap.component in joined]
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), initial_pose)
@@ -84,7 +84,7 @@ class LoopCloser:
     def look_all_over(self) -> None:
         """Look for the component that begins now, of a lost robot, among all local maps whose place is known."""
         targets = [submap for submap in self.submaps if submap.component in self.relocalization.joined]
-        n_at_once = N_AT_ONCE_LOST if self.known is None else N_AT_ONCE
+        n_at_once = N_AT_ONCE_LOST if self.places.submaps is None else N_AT_ONCE
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), n_at_once=n_at_once)
 
     def is_sought(self, component: int) -> bool:
@@ -140,12 +140,14 @@ class LoopCloser:
                 self.is_known = self.is_known or closure.overlap >= self.config.known_overlap
         if self.is_known:
             self.submaps.remove(submap)
-            if self.known is not None:
-                self.known.append(submap)
+            if self.places.submaps is not None:
+                self.places.submaps.append(submap)
         if changed:
             dropped = {id(edge) for edge, _ in self.graph.dropped}
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
+        if self.is_known:
+            self.places.settle(submap.anchor, self.accepted)
         return tuple(attempts)
 
     def decide(
@@ -299,6 +301,7 @@ class LoopCloser:
             )
             if edge is not None:
                 self.accepted.append((closure, edge))
+                self.places.visits[closure.target.anchor] += 1
 
     def _residuals2(self) -> FloatArray:
         """(k,) squared residuals of the accepted closures, each in its own covariance."""

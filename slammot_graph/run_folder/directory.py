@@ -8,6 +8,7 @@ from pathlib import Path
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.run_folder.atomic import temporary_path, write_errors
+from slammot_graph.run_folder.checkpoint import CHECKPOINT_FILE, SCANS_FILE
 from slammot_graph.run_folder.lock import LOCK_FILE, folder_lock
 
 RUN_FILES = (
@@ -25,21 +26,27 @@ RUN_FILES = (
     "summary.json",
 )
 """All that a run folder may hold; without a graph there is no ``graph.g2o`` and no ``map.slam``, without a recording
-no ``run.rrd``."""
+no ``run.rrd``. Of a run that went on there may be earlier parts of the recording, ``run.1.rrd`` and so on."""
 
 ALL_FILES = (*RUN_FILES, "closures.csv")
 """With those of a merged map."""
+
+_OWN_FILES = (*ALL_FILES, CHECKPOINT_FILE, SCANS_FILE)
+"""And what a run leaves there that has not ended."""
 
 _FIRST_FILES = (
     "run.rrd",
     "trajectory.tum",
     "map.slam",
+    CHECKPOINT_FILE,
 )  # an interrupted run leaves one of them, or a file under its temporary name
 
 
 @contextmanager
-def claimed_output(output: str | Path, *, overwrite: bool) -> Iterator[None]:
+def claimed_output(output: str | Path, *, overwrite: bool, resume: bool = False) -> Iterator[None]:
     """Make an empty run folder as `prepare_output` does, which no other run may write into meanwhile.
+
+    With `resume` the files of a run that is already there stay.
 
     Raises
     ------
@@ -47,9 +54,10 @@ def claimed_output(output: str | Path, *, overwrite: bool) -> Iterator[None]:
         As of `prepare_output`; or another run writes into it.
     """
     output = Path(output)
-    _check_output(output, overwrite=overwrite)
+    _check_output(output, overwrite=overwrite or resume)
     with folder_lock(output):
-        prepare_output(output, overwrite=overwrite)
+        if not resume:
+            prepare_output(output, overwrite=overwrite)
         yield
 
 
@@ -71,9 +79,33 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
     output = Path(output)
     _check_output(output, overwrite=overwrite)
     with write_errors(output, "remove it yourself, or name another --output"):
-        for name in ALL_FILES:
+        for name in _OWN_FILES:
             (output / name).unlink(missing_ok=True)
             temporary_path(output / name).unlink(missing_ok=True)
+        for path in recording_parts(output):
+            path.unlink()
+
+
+def recording_parts(output: Path) -> list[Path]:
+    """Give the earlier parts of the recording of a run that went on, in their order."""
+    numbered = [
+        (int(path.name[4:-4]), path) for path in output.glob("run.*.rrd") if path.name[4:-4].isdecimal()
+    ]
+    return [path for _, path in sorted(numbered)]
+
+
+def keep_recording(output: Path) -> None:
+    """Let what is recorded so far be a part of its own, beside which the rest is recorded.
+
+    Raises
+    ------
+    InputError
+        It cannot be renamed.
+    """
+    path = output / "run.rrd"
+    with write_errors(path, "remove it yourself, or name another --output"):
+        if path.exists():
+            path.rename(output / f"run.{len(recording_parts(output)) + 1}.rrd")
 
 
 def _check_output(output: Path, *, overwrite: bool) -> None:
@@ -101,8 +133,9 @@ def _is_run_folder(output: Path, names: list[str]) -> bool:
     try:
         summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        begun = {temporary_path(output / name).name for name in ALL_FILES}
-        return begun.union(ALL_FILES).issuperset(names) and bool(
+        begun = {temporary_path(output / name).name for name in _OWN_FILES}
+        begun.update(path.name for path in recording_parts(output))
+        return begun.union(_OWN_FILES).issuperset(names) and bool(
             begun.union(_FIRST_FILES).intersection(names)
         )
     return isinstance(summary, dict) and {"method", "n_scans"} <= summary.keys()

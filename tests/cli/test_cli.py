@@ -437,11 +437,19 @@ def test_ctrl_c_writes_what_was_computed(
     assert code == 130
     assert signal.getsignal(signal.SIGINT) is handler
     assert f"interrupted after 6 scans; what was computed is in {tmp_path / 'out'}" in err
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {*RUN_FILES, "run.rrd"} - {
+    to_go_on = {"run.checkpoint", "run.checkpoint.scans"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*RUN_FILES, "run.rrd", *to_go_on} - {
         "graph.g2o",
         "map.slam",
     }
     assert len(read_trajectory(tmp_path / "out" / "trajectory.tum")[0]) == 6
+    monkeypatch.undo()
+    code, _, err = run(
+        capsys, "run", log, "--output", tmp_path / "out", "--method", "odometry", "--rerun", "off", "--resume"
+    )
+    assert code == 0
+    assert "going on after 6 scans" in err
+    assert len(read_trajectory(tmp_path / "out" / "trajectory.tum")[0]) == N_SCANS
 
 
 def test_a_failure_on_the_way_writes_what_was_computed(

@@ -44,6 +44,8 @@ class Sink:
         The recording to write.
     spawn : bool
         Open a viewer and stream to it instead; exactly one of `path` and `spawn`.
+    recording_id : str, optional
+        The viewer joins recordings that have the same.
 
     Raises
     ------
@@ -51,7 +53,7 @@ class Sink:
         The file cannot be written or no viewer can be opened.
     """
 
-    def __init__(self, name: str, *, path: Path | None, spawn: bool) -> None:
+    def __init__(self, name: str, *, path: Path | None, spawn: bool, recording_id: str | None = None) -> None:
         import rerun as rr
 
         if (path is None) != spawn:
@@ -63,7 +65,7 @@ class Sink:
             else "a viewer needs a display and the rerun of this environment; pass --rerun file instead"
         )
         batching = rr.ChunkBatcherConfig(flush_tick=0.2 if spawn else 5.0, flush_num_bytes=4 << 20)
-        self.rec = rr.RecordingStream(name, batcher_config=batching)
+        self.rec = rr.RecordingStream(name, recording_id=recording_id, batcher_config=batching)
         with self.errors():
             if path is not None:
                 self.rec.save(path)

@@ -51,6 +51,8 @@ class RerunRecording(Observer):
         The recording to write (``run.rrd``); it is opened when the run starts.
     spawn : bool
         Open a viewer and stream to it instead; exactly one of `path` and `spawn`.
+    recording_id : str, optional
+        The viewer joins recordings that have the same: of a run that went on after an interruption.
 
     Raises
     ------
@@ -58,11 +60,14 @@ class RerunRecording(Observer):
         From `on_start`: the file cannot be made or no viewer can be opened. From `close`: it ended before the run.
     """
 
-    def __init__(self, *, path: Path | None = None, spawn: bool = False) -> None:
+    def __init__(
+        self, *, path: Path | None = None, spawn: bool = False, recording_id: str | None = None
+    ) -> None:
         if (path is None) != spawn:
             raise ValueError("give either a path or spawn=True")
         self._path = path
         self._spawn = spawn
+        self._recording_id = recording_id
         self._sink: Sink | None = None
         self._panels: _Panels | None = None
         self._steps: list[StepResult] = []
@@ -82,7 +87,12 @@ class RerunRecording(Observer):
             self._try_to_write()
         if self._failure is not None:
             return
-        self._sink = Sink(f"slammot_graph {info.method}", path=self._path, spawn=self._spawn)
+        self._sink = Sink(
+            f"slammot_graph {info.method}",
+            path=self._path,
+            spawn=self._spawn,
+            recording_id=self._recording_id,
+        )
         self._panels = _Panels.on(Columns(self._sink.rec))
         with self._sink.errors():
             log_style(self._sink.rec)
@@ -119,6 +129,13 @@ class RerunRecording(Observer):
         with self._ending_alone() as goes_on:
             if goes_on:
                 self._log_result(result)
+
+    def on_checkpoint(self) -> None:
+        """Write all that is kept."""
+        with self._ending_alone() as goes_on:
+            if goes_on and self._sink is not None:
+                self._send_steps()
+                self._sink.flush()
 
     def _log_result(self, result: RunResult) -> None:
         import rerun as rr
