@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
 from slammot_graph.core.types import FloatArray
-from slammot_graph.tracking.smoothing import SmoothingConfig
+from slammot_graph.tracking.chain import SmoothingConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,191 @@
+"""What the other scans of a run say of a track: where it goes on before its first label and after its last.
+
+An object stands or walks where the laser sees through once it has gone, or before it came. That tells whether small
+things in a track's way, which the moving-point test could not know to move, were the object itself: at its first
+scans, before anything was seen free, or where it parked.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.tracking import _kernels as _track_kernels
+from slammot_graph.tracking import _segment_kernels as _segments
+from slammot_graph.tracking import _sight_kernels as _sight
+from slammot_graph.tracking import _table_kernels as _table
+from slammot_graph.tracking._follow_kernels import PUSH
+from slammot_graph.tracking.base import ScanView
+from slammot_graph.tracking.chain import Chain, SmoothingConfig
+
+Views = Callable[[int], ScanView]
+"""The scan of a number at its optimised pose, its labelled beams as clusters, map frame."""
+
+_BODY_M = 0.2
+"""Half the width of what must be seen through at a place."""
+
+_AWAY_M = 0.8
+"""An object this far from a place does not occlude it."""
+
+_LOOKS = 24
+"""Scans that are asked about a place."""
+
+_MIN_LOOKS = 3
+"""Fewer decide nothing."""
+
+_VIEWS_KEPT = 512
+
+
+class Hindsight:
+    """Asks the scans of a run about places [m], map frame.
+
+    Parameters
+    ----------
+    views : Views
+    stamps : (n,) array [s]
+        Of the scans.
+    limits : (24,) array
+        Of the tracker.
+    """
+
+    def __init__(self, views: Views, stamps: FloatArray, limits: FloatArray) -> None:
+        self._view = lru_cache(_VIEWS_KEPT)(views)
+        self._stamps = stamps
+        self._limits = limits
+
+    def looks(self, places: FloatArray, scans: IntArray) -> tuple[IntArray, IntArray]:
+        """(m,) how many of some scans see through each place (m, 2), and how many see something there."""
+        states = np.column_stack([places, np.zeros_like(places)])
+        n_empty, n_present = np.zeros(len(places), dtype=np.int64), np.zeros(len(places), dtype=np.int64)
+        sight = np.empty(len(places), dtype=np.int64)
+        for k in scans.tolist():
+            view = self._view(k)
+            _sight.sight_at(
+                states, view.T_local_laser, view.angle_min, view.angle_increment, view.ranges, view.is_valid,
+                view.no_return_m, _BODY_M, sight,
+            )  # fmt: skip
+            n_empty += sight == _sight.EMPTY
+            n_present += sight == _sight.PRESENT
+        return n_empty, n_present
+
+    def absences(self, chains: list[Chain], place: FloatArray, near: int) -> IntArray:
+        """Scans at which none of the chains is near a place (2,): those nearest in time to a scan, `_LOOKS` at most."""
+        n = len(self._stamps)
+        is_taken = np.zeros(n, dtype=np.bool_)
+        for chain in chains:
+            offset = chain.places - place
+            is_close = np.hypot(offset[:, 0], offset[:, 1]) < _AWAY_M
+            is_taken[chain.scans[is_close]] = True
+        # between two sightings there it is there as well
+        for chain in chains:
+            first, last = int(chain.scans[0]), int(chain.scans[-1])
+            inside = np.interp(np.arange(first, last + 1), chain.scans, is_taken[chain.scans].astype(float))
+            is_taken[first : last + 1] |= inside > 0.0
+        free = np.flatnonzero(~is_taken)
+        return free[np.argsort(np.abs(free - near), kind="stable")[: 4 * _LOOKS : 4]]
+
+    def extended(self, chain: Chain, chains: list[Chain], config: SmoothingConfig) -> Chain:
+        """Follow a chain beyond both its ends through what is not labelled, as long as that is gone at other times."""
+        every = [chain]
+        for step in (-1, 1):
+            found = self._followed(chain, chains, step, config)
+            if found is not None:
+                every.insert(0 if step < 0 else len(every), found)
+        if len(every) == 1:
+            return chain
+        return Chain(
+            **{name: np.concatenate([getattr(part, name) for part in every]) for name in vars(chain)}
+        )
+
+    def _followed(self, chain: Chain, chains: list[Chain], step: int, config: SmoothingConfig) -> Chain | None:
+        """Sightings before (-1) or after (1) a chain, in the order of the scans."""
+        end = 0 if step < 0 else -1
+        part = slice(0, 30) if step < 0 else slice(-30, None)
+        states, covs = chain.part(part).smoothed(chain.scans[part], self._stamps, config)
+        state, cov = states[[end]].copy(), covs[[end]].copy()
+        state[:, 2:] *= step  # time runs backward
+        cov[:, :2, 2:] *= step
+        cov[:, 2:, :2] *= step
+        reach = max(self._limits[_table.STANDING_REACH], 0.75 * float(np.quantile(chain.sizes, 0.9)) + 0.1)
+        scans, places, noises, sizes = [], [], [], []
+        k, missed_s = int(chain.scans[end]), 0.0
+        while 0 <= k + step < len(self._stamps) and missed_s <= config.max_gap_s:
+            dt = max(step * (self._stamps[k + step] - self._stamps[k]), 0.0)
+            k += step
+            missed_s += dt
+            _track_kernels.predict(state, cov, dt, config.acceleration_std_m_s2)
+            if _is_near(chains, chain, k, state[0, :2]):
+                continue
+            seen = self._seen_at(k, state, cov, reach)
+            if seen is None:
+                continue
+            place, noise, size = seen
+            if not self._is_vacated(place, chain, chains, k):
+                break
+            _track_kernels.correct(state, cov, place[None], noise[None], np.zeros(1, dtype=np.int64))
+            missed_s = 0.0
+            scans.append(k)
+            places.append(place)
+            noises.append(noise)
+            sizes.append(size)
+        if not scans:
+            return None
+        order = slice(None, None, step)
+        return Chain(
+            scans=np.array(scans)[order],
+            places=np.array(places)[order],
+            covs=np.array(noises)[order],
+            sizes=np.array(sizes)[order],
+            thickness=np.full(len(scans), np.nan),
+        )
+
+    def _seen_at(
+        self, k: int, state: FloatArray, cov: FloatArray, reach: float
+    ) -> tuple[FloatArray, FloatArray, float] | None:
+        """Place (2,), covariance (2, 2) and size of a small thing that stands by itself where one is expected."""
+        view, limits = self._view(k), self._limits
+        n = len(view.ranges)
+        cluster = np.empty(n, dtype=np.int64)
+        is_any = _sight.find_standing(
+            view.points, view.is_valid, np.full(n, -1), state[:, :2], reach, limits[_table.STANDING_GAP], cluster
+        )
+        if not is_any:
+            return None
+        segment, table = np.empty(n, dtype=np.int64), np.empty((n, 8))
+        is_proven: BoolArray = cluster >= 0
+        m = _segments.find_segments(
+            view.points, view.packed_cov, cluster, is_proven, view.T_local_laser[0], view.T_local_laser[1],
+            view.angle_increment, limits[_table.SEGMENT_GAP], PUSH, limits[_table.LEG_WIDTH], segment, table,
+        )  # fmt: skip
+        table = table[:m]
+        place, noise = np.empty((1, 2)), np.empty((1, 2, 2))
+        n_joined, size = np.empty(1, dtype=np.int64), np.empty(1)
+        _segments.measure(
+            table, np.zeros(m, dtype=np.int64), limits[_table.LEG_WIDTH], limits[_table.LEG_VARIANCE],
+            limits[_table.BODY_VARIANCE], place, noise, n_joined, size,
+        )  # fmt: skip
+        offset = place[0] - state[0, :2]
+        distance2 = float(offset @ np.linalg.solve(cov[0, :2, :2] + noise[0], offset))
+        return (place[0], noise[0], float(size[0])) if distance2 <= limits[_table.GATE] else None
+
+    def _is_vacated(self, place: FloatArray, chain: Chain, chains: list[Chain], k: int) -> bool:
+        """Whether the laser sees through a place at the scans at which no object is near it."""
+        span = np.arange(min(k, int(chain.scans[0])), max(k, int(chain.scans[-1])) + 1)
+        near = chain.scans[np.hypot(*(chain.places - place).T) < _AWAY_M]
+        between = span[(span >= min(k, *near)) & (span <= max(k, *near))] if len(near) else np.array([k])
+        asked = np.setdiff1d(self.absences(chains, place, k), between)
+        empty, present = self.looks(place[None], asked)
+        return bool(empty[0] >= _MIN_LOOKS and empty[0] > 4 * present[0])
+
+
+def _is_near(chains: list[Chain], own: Chain, k: int, place: FloatArray) -> bool:
+    """Whether another chain is near a place (2,) at a scan."""
+    for chain in chains:
+        if chain is own:
+            continue
+        at = int(np.searchsorted(chain.scans, k).clip(0, len(chain.scans) - 1))
+        for m in (at, max(at - 1, 0)):
+            if abs(int(chain.scans[m]) - k) <= 3 and np.hypot(*(chain.places[m] - place)) < 0.5:
+                return True
+    return False
