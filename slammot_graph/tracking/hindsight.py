@@ -31,6 +31,9 @@ _AWAY_M = 0.8
 _LOOKS = 24
 """Scans that are asked about a place."""
 
+_STRIDE = 4
+"""Of the scans of an absence every fourth is asked."""
+
 _MIN_LOOKS = 3
 """Fewer decide nothing."""
 
@@ -54,36 +57,34 @@ class Hindsight:
         self._stamps = stamps
         self._limits = limits
 
-    def looks(self, places: FloatArray, scans: IntArray) -> tuple[IntArray, IntArray]:
-        """(m,) how many of some scans see through each place (m, 2), and how many see something there."""
-        states = np.column_stack([places, np.zeros_like(places)])
-        n_empty, n_present = np.zeros(len(places), dtype=np.int64), np.zeros(len(places), dtype=np.int64)
-        sight = np.empty(len(places), dtype=np.int64)
+    def looks(self, place: FloatArray, scans: IntArray) -> tuple[int, int]:
+        """How many of some scans see through a place (2,), and how many hit something there."""
+        state = np.array([[place[0], place[1], 0.0, 0.0]])
+        sight = np.empty(1, dtype=np.int64)
+        n_empty = n_present = 0
         for k in scans.tolist():
             view = self._view(k)
             _sight.sight_at(
-                states, view.T_local_laser, view.angle_min, view.angle_increment, view.ranges, view.is_valid,
+                state, view.T_local_laser, view.angle_min, view.angle_increment, view.ranges, view.is_valid,
                 view.no_return_m, _BODY_M, sight,
             )  # fmt: skip
-            n_empty += sight == _sight.EMPTY
-            n_present += sight == _sight.PRESENT
+            n_empty += int(sight[0] == _sight.EMPTY)
+            if sight[0] == _sight.PRESENT:
+                offset = view.points[view.is_valid] - place
+                n_present += int(np.square(offset).sum(axis=1).min() < _BODY_M**2)
         return n_empty, n_present
 
-    def absences(self, chains: list[Chain], place: FloatArray, near: int) -> IntArray:
-        """Scans at which none of the chains is near a place (2,): those nearest in time to a scan, `_LOOKS` at most."""
+    def absences(self, chains: list[Chain], place: FloatArray, scans: IntArray) -> IntArray:
+        """Of some scans, nearest first, `_LOOKS` at most at which none of the chains is near a place (2,)."""
         n = len(self._stamps)
         is_taken = np.zeros(n, dtype=np.bool_)
         for chain in chains:
-            offset = chain.places - place
-            is_close = np.hypot(offset[:, 0], offset[:, 1]) < _AWAY_M
-            is_taken[chain.scans[is_close]] = True
-        # between two sightings there it is there as well
-        for chain in chains:
-            first, last = int(chain.scans[0]), int(chain.scans[-1])
-            inside = np.interp(np.arange(first, last + 1), chain.scans, is_taken[chain.scans].astype(float))
-            is_taken[first : last + 1] |= inside > 0.0
-        free = np.flatnonzero(~is_taken)
-        return free[np.argsort(np.abs(free - near), kind="stable")[: 4 * _LOOKS : 4]]
+            is_close = np.hypot(*(chain.places - place).T) < _AWAY_M
+            every = np.arange(int(chain.scans[0]), int(chain.scans[-1]) + 1)
+            # between two sightings there it is there as well
+            is_taken[every] |= np.interp(every, chain.scans, is_close.astype(np.float64)) > 0.0
+        free = scans[~is_taken[scans]]
+        return free[: _STRIDE * _LOOKS : _STRIDE]
 
     def extended(self, chain: Chain, chains: list[Chain], config: SmoothingConfig) -> Chain:
         """Follow a chain beyond both its ends through what is not labelled, as long as that is gone at other times."""
@@ -121,7 +122,7 @@ class Hindsight:
             if seen is None:
                 continue
             place, noise, size = seen
-            if not self._is_vacated(place, chain, chains, k):
+            if not self._is_vacated(place, chain, chains, step):
                 break
             _track_kernels.correct(state, cov, place[None], noise[None], np.zeros(1, dtype=np.int64))
             missed_s = 0.0
@@ -169,14 +170,15 @@ class Hindsight:
         distance2 = float(offset @ np.linalg.solve(cov[0, :2, :2] + noise[0], offset))
         return (place[0], noise[0], float(size[0])) if distance2 <= limits[_table.GATE] else None
 
-    def _is_vacated(self, place: FloatArray, chain: Chain, chains: list[Chain], k: int) -> bool:
-        """Whether the laser sees through a place at the scans at which no object is near it."""
-        span = np.arange(min(k, int(chain.scans[0])), max(k, int(chain.scans[-1])) + 1)
-        near = chain.scans[np.hypot(*(chain.places - place).T) < _AWAY_M]
-        between = span[(span >= min(k, *near)) & (span <= max(k, *near))] if len(near) else np.array([k])
-        asked = np.setdiff1d(self.absences(chains, place, k), between)
-        empty, present = self.looks(place[None], asked)
-        return bool(empty[0] >= _MIN_LOOKS and empty[0] > 4 * present[0])
+    def _is_vacated(self, place: FloatArray, chain: Chain, chains: list[Chain], step: int) -> bool:
+        """Whether the laser sees through a place before (1) a chain's end, or after (-1) its start, with none near.
+
+        On the other side of the end the object itself may be there.
+        """
+        n = len(self._stamps)
+        scans = np.arange(int(chain.scans[0]), n) if step < 0 else np.arange(int(chain.scans[-1]), -1, -1)
+        n_empty, n_present = self.looks(place, self.absences(chains, place, scans))
+        return n_empty >= _MIN_LOOKS and n_empty > 4 * n_present
 
 
 def _is_near(chains: list[Chain], own: Chain, k: int, place: FloatArray) -> bool:
