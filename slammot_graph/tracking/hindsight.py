@@ -17,6 +17,7 @@ from slammot_graph.tracking import _sight_kernels as _sight
 from slammot_graph.tracking import _table_kernels as _table
 from slammot_graph.tracking._follow_kernels import PUSH
 from slammot_graph.tracking.base import ScanView
+from slammot_graph.tracking.boxes import laid_in_box
 from slammot_graph.tracking.chain import Chain, SmoothingConfig
 
 Views = Callable[[int], ScanView]
@@ -98,6 +99,17 @@ class Hindsight:
         return Chain(
             **{name: np.concatenate([getattr(part, name) for part in every]) for name in vars(chain)}
         )
+
+    def boxed(self, chain: Chain, config: SmoothingConfig) -> Chain:
+        """The chain of a vehicle with the centres of its box for places."""
+        reach = 0.75 * float(np.quantile(chain.sizes, 0.9)) + 0.1
+        views = []
+        for k, place in zip(chain.scans.tolist(), chain.places, strict=True):
+            view = self._view(k)
+            is_near = view.is_valid & (np.hypot(*(view.points - place).T) <= reach)
+            is_labelled = is_near & (view.cluster >= 0)
+            views.append((view.points[is_labelled if is_labelled.any() else is_near], view))
+        return laid_in_box(chain, views, self._stamps, config)[0]
 
     def _followed(self, chain: Chain, chains: list[Chain], step: int, config: SmoothingConfig) -> Chain | None:
         """Sightings before (-1) or after (1) a chain, in the order of the scans."""
