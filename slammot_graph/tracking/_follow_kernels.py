@@ -55,6 +55,7 @@ from slammot_graph.tracking._table_kernels import (
     STANDING_GAP,
     STANDING_REACH,
     STANDING_SPEED,
+    STRONG_POINTS,
     TWIN,
     TWIN_S,
     UNPROVEN_S,
@@ -179,7 +180,8 @@ def follow(
         n_seen = _join(table, limits, n, states, covs, whole, times, primary, owner, seen)
     is_hit = np.empty(n, dtype=np.bool_)
     note_sightings(
-        primary, owner, table, dt, states[:n], starts[:n], int(limits[N_CONFIRM]), limits[MIN_DISTANCE], is_hit,
+        primary, owner, table, dt, states[:n], starts[:n], int(limits[N_CONFIRM]), limits[MIN_DISTANCE],
+        limits[STRONG_POINTS], limits[BODY], is_hit,
         whole[N_HITS][:n], times[MISSED_S][:n], times[UNPROVEN_S][:n], flags[HAS_DISPLACED][:n],
     )  # fmt: skip
     for t in range(n):

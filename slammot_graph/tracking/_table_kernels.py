@@ -10,7 +10,7 @@ from slammot_graph.tracking._kernels import carry_track
 from slammot_graph.tracking._segment_kernels import N_POINTS, N_PROVEN, X, Y, group_unowned, measure
 
 ID, N_HITS, N_ALONE, SIGHT, N_ON_FREE = range(5)
-"""Rows of the whole numbers (5, n): identity, sightings, those with no other track near, what the laser sees there,
+"""Rows of the whole numbers (5, n): identity, sightings (strong ones twice), those with no other track near, what the laser sees there,
 sightings of which at least half the points were on free cells."""
 
 MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S = range(4)
@@ -24,9 +24,9 @@ HAS_DISPLACED, IS_SHOWN = range(2)
     ACCELERATION_STD, LEG_VARIANCE, BODY_VARIANCE, START_SPEED_VARIANCE, GATE, MAX_JUMP, SEGMENT_GAP, STANDING_REACH,
     STANDING_GAP, STANDING_SPEED, LEG_WIDTH, BODY, APART, TWIN, MAX_TWIN_S, N_CONFIRM, SHOWN_S, MAX_EMPTY_S,
     MAX_UNPROVEN_S, MIN_UNPROVEN_POINTS, MAX_MISSED_S, MIN_DISTANCE,
-    STANDING_DISTANCE, MIN_ON_FREE,
-) = range(24)  # fmt: skip
-"""Entries of the limits (24,): the tracker's configuration as numbers."""
+    STANDING_DISTANCE, MIN_ON_FREE, STRONG_POINTS,
+) = range(25)  # fmt: skip
+"""Entries of the limits (25,): the tracker's configuration as numbers."""
 
 EXPECTED_S = 1.0
 """An object that has displaced is expected for so long after a sighting [s]."""
@@ -109,7 +109,7 @@ def begin(
             for j in range(2):
                 covs[t, i, j] = noise[0, i, j]
         whole[ID, t] = next_id + n_born
-        whole[N_HITS, t] = 1
+        whole[N_HITS, t] = 2 if n_proven >= limits[STRONG_POINTS] and size[0] <= limits[BODY] else 1
         note(seen[n_born], next_id + n_born, place[0], noise[0], size[0])
         for s in range(k):
             if own[s] == 0:

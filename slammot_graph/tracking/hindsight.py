@@ -49,7 +49,7 @@ class Hindsight:
     views : Views
     stamps : (n,) array [s]
         Of the scans.
-    limits : (24,) array
+    limits : (25,) array
         Of the tracker.
     """
 

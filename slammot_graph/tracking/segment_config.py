@@ -43,6 +43,8 @@ class SegmentTrackerConfig(Checked):
         Two tracks nearer than this for this long follow one object: the younger one ends.
     n_confirm : int
         Sightings needed before a track is reported.
+    strong_points : int
+        A sighting with so many points on free cells counts for two.
     shown_s : float
         A track is reported up to this long after a sighting, unless the laser sees through it.
     max_empty_s : float
@@ -78,6 +80,7 @@ class SegmentTrackerConfig(Checked):
     twin_m: Positive = 0.5
     max_twin_s: Positive = 1.0
     n_confirm: Count = 3
+    strong_points: Count = 6
     shown_s: Positive = 0.35
     max_empty_s: Positive = 0.6
     max_unproven_s: Positive = 1.0
@@ -87,7 +90,7 @@ class SegmentTrackerConfig(Checked):
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
 
     def limits(self) -> FloatArray:
-        """(24,) what the kernels take, in the order that they name."""
+        """(25,) what the kernels take, in the order that they name."""
         return np.array(
             [
                 self.acceleration_std_m_s2,
@@ -114,6 +117,7 @@ class SegmentTrackerConfig(Checked):
                 self.min_distance_m,
                 self.standing_distance_m,
                 self.min_on_free,
+                self.strong_points,
             ],
             dtype=np.float64,
         )
