@@ -10,7 +10,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking._kernels import correct, predict
+from slammot_graph.tracking._kernels import correct, learn_noise, predict
 from slammot_graph.tracking._segment_kernels import (
     N_POINTS,
     N_PROVEN,
@@ -48,6 +48,8 @@ from slammot_graph.tracking._table_kernels import (
     N_CONFIRM,
     N_HITS,
     N_ON_FREE,
+    NOISE,
+    NOISE_GAIN,
     SEGMENT_GAP,
     SHOWN_S,
     SIGHT,
@@ -290,5 +292,6 @@ def _join(
         if of[t] >= 0:
             note(seen[n_seen], whole[ID, t], places[t], noise[t], sizes[t])
             n_seen += 1
+    learn_noise(states[:n], covs[:n], places, of, limits[NOISE_GAIN], noise, times[NOISE][:n])
     correct(states[:n], covs[:n], places, noise, of)
     return n_seen

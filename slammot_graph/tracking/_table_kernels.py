@@ -13,9 +13,9 @@ ID, N_HITS, N_ALONE, SIGHT, N_ON_FREE = range(5)
 """Rows of the whole numbers (5, n): identity, sightings (strong ones twice), those with no other track near, what the laser sees there,
 sightings of which at least half the points were on free cells."""
 
-MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S = range(4)
-"""Rows of the times (4, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
-cells proved; on the place of an older track."""
+MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S, NOISE = range(5)
+"""Rows of the times (5, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
+cells proved; on the place of an older track; and, no time, the learnt factor on the variance of a track's sightings."""
 
 HAS_DISPLACED, IS_SHOWN = range(2)
 """Rows of the flags (2, n)."""
@@ -24,9 +24,9 @@ HAS_DISPLACED, IS_SHOWN = range(2)
     ACCELERATION_STD, LEG_VARIANCE, BODY_VARIANCE, START_SPEED_VARIANCE, GATE, MAX_JUMP, SEGMENT_GAP, STANDING_REACH,
     STANDING_GAP, STANDING_SPEED, LEG_WIDTH, BODY, APART, TWIN, MAX_TWIN_S, N_CONFIRM, SHOWN_S, MAX_EMPTY_S,
     MAX_UNPROVEN_S, MIN_UNPROVEN_POINTS, MAX_MISSED_S, MIN_DISTANCE,
-    STANDING_DISTANCE, MIN_ON_FREE, STRONG_POINTS,
-) = range(25)  # fmt: skip
-"""Entries of the limits (25,): the tracker's configuration as numbers."""
+    STANDING_DISTANCE, MIN_ON_FREE, STRONG_POINTS, NOISE_FACTOR, NOISE_GAIN,
+) = range(27)  # fmt: skip
+"""Entries of the limits (27,): the tracker's configuration as numbers."""
 
 EXPECTED_S = 1.0
 """An object that has displaced is expected for so long after a sighting [s]."""
@@ -103,6 +103,7 @@ def begin(
         whole[:, t] = 0
         times[:, t] = 0.0
         flags[:, t] = False
+        times[NOISE, t] = limits[NOISE_FACTOR]
         for i in range(2):
             states[t, i] = starts[t, i] = place[0, i]
             covs[t, i + 2, i + 2] = limits[START_SPEED_VARIANCE]

@@ -49,7 +49,7 @@ class Hindsight:
     views : Views
     stamps : (n,) array [s]
         Of the scans.
-    limits : (25,) array
+    limits : (27,) array
         Of the tracker.
     """
 

@@ -21,6 +21,8 @@ class SegmentTrackerConfig(Checked):
         Of one leg as a measurement of the person's centre.
     body_std_m : float
         The same of both legs, or of a trunk.
+    noise_factor, noise_gain : float
+        On the variance of both legs or a trunk at first, and how fast a track learns its own from its innovations.
     start_speed_std_m_s : float
     gate : float
         Largest squared Mahalanobis distance of a segment to a track (9.21: 99% for two dimensions).
@@ -65,6 +67,8 @@ class SegmentTrackerConfig(Checked):
     acceleration_std_m_s2: Positive = 1.5
     leg_std_m: Positive = 0.15
     body_std_m: Positive = 0.06
+    noise_factor: Positive = 1.0
+    noise_gain: NotNegative = 0.05
     start_speed_std_m_s: Positive = 1.0
     gate: Positive = 9.21
     max_jump_m: Positive = 1.5
@@ -90,7 +94,7 @@ class SegmentTrackerConfig(Checked):
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
 
     def limits(self) -> FloatArray:
-        """(25,) what the kernels take, in the order that they name."""
+        """(27,) what the kernels take, in the order that they name."""
         return np.array(
             [
                 self.acceleration_std_m_s2,
@@ -118,6 +122,8 @@ class SegmentTrackerConfig(Checked):
                 self.standing_distance_m,
                 self.min_on_free,
                 self.strong_points,
+                self.noise_factor,
+                self.noise_gain,
             ],
             dtype=np.float64,
         )
