@@ -10,8 +10,8 @@ from slammot_graph.tracking._kernels import carry_track
 from slammot_graph.tracking._segment_kernels import N_POINTS, N_PROVEN, X, Y, group_unowned, measure
 
 ID, N_HITS, N_ALONE, SIGHT, N_ON_FREE = range(5)
-"""Rows of the whole numbers (5, n): identity, sightings (strong ones twice), those with no other track near, what the laser sees there,
-sightings of which at least half the points were on free cells."""
+"""Rows of the whole numbers (5, n): identity, sightings (strong ones twice), those with no other track near, what the
+laser sees there, sightings of which at least half the points were on free cells."""
 
 MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S, NOISE = range(5)
 """Rows of the times (5, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free

@@ -1,4 +1,4 @@
-"""Vehicles after the run: an oriented box that all sightings share, so that the side that is seen does not pull it near.
+"""Vehicles after the run: an oriented box that all sightings share, so that the side seen does not pull it near.
 
 The heading is that of the smoothed velocity. Length and width are the extents of what was seen along and across it, at
 the sightings that show most. The box is laid against what is seen: by its near end where the laser looks at that, by
@@ -27,7 +27,8 @@ def headings(states: FloatArray) -> FloatArray | None:
     if len(rows) < _MIN_HEADINGS:
         return None
     nearest = np.abs(np.arange(len(states))[:, None] - rows[None]).argmin(axis=1)
-    return np.arctan2(states[:, 3], states[:, 2])[rows[nearest]]
+    angles: FloatArray = np.arctan2(states[:, 3], states[:, 2])[rows[nearest]]
+    return angles
 
 
 def extents(points: FloatArray, place: FloatArray, heading: float) -> tuple[FloatArray, FloatArray]:

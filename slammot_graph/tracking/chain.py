@@ -12,6 +12,7 @@ MIN_SIGHTINGS_OF_JITTER, MAX_STANDING_SCATTER_M, MAX_JITTER = 10, 0.15, 0.33
 """An object that does not stand goes somewhere: of so many sightings that scatter by more than this, no more than this
 share is from one to the next (von Neumann's ratio: 1 for places drawn at random). Corners of walls jump about."""
 
+
 @dataclass(frozen=True, kw_only=True)
 class SmoothingConfig(Checked):
     """How tracklets are linked and smoothed after the run.

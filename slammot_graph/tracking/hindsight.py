@@ -111,7 +111,9 @@ class Hindsight:
             views.append((view.points[is_labelled if is_labelled.any() else is_near], view))
         return laid_in_box(chain, views, self._stamps, config)[0]
 
-    def _followed(self, chain: Chain, chains: list[Chain], step: int, config: SmoothingConfig) -> Chain | None:
+    def _followed(
+        self, chain: Chain, chains: list[Chain], step: int, config: SmoothingConfig
+    ) -> Chain | None:
         """Sightings before (-1) or after (1) a chain, in the order of the scans."""
         end = 0 if step < 0 else -1
         part = slice(0, 30) if step < 0 else slice(-30, None)
@@ -161,7 +163,13 @@ class Hindsight:
         n = len(view.ranges)
         cluster = np.empty(n, dtype=np.int64)
         is_any = _sight.find_standing(
-            view.points, view.is_valid, np.full(n, -1), state[:, :2], reach, limits[_table.STANDING_GAP], cluster
+            view.points,
+            view.is_valid,
+            np.full(n, -1),
+            state[:, :2],
+            reach,
+            limits[_table.STANDING_GAP],
+            cluster,
         )
         if not is_any:
             return None

@@ -107,7 +107,9 @@ def smooth_tracks(
     kept = _without_twins(kept, config.twin_m)
     if hindsight is not None:
         kept = [hindsight.extended(chain, kept, config) for chain in kept]
-        kept = [hindsight.boxed(chain, config) if _object(0, chain).kind == "vehicle" else chain for chain in kept]
+        kept = [
+            hindsight.boxed(chain, config) if _object(0, chain).kind == "vehicle" else chain for chain in kept
+        ]
         kept.sort(key=lambda chain: int(chain.scans[0]))
     scans, ids, states, covs, is_seen = [], [], [], [], []
     for number, chain in enumerate(kept):

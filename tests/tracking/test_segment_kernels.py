@@ -116,16 +116,19 @@ def test_the_books_of_the_tracks(seed: int) -> None:
     is_hit = primary >= 0
     is_proven = np.array([(table[owner == t, N_PROVEN] > 0).any() for t in range(n)])
     far = np.hypot(*(states[:, :2] - starts).T) >= 0.8
+    narrow = table[:, WIDTH] <= 0.25
+    is_strong = np.array([table[(owner == t) & narrow, N_PROVEN].sum() >= 3 for t in range(n)])
+    after = n_hits + is_hit + (is_hit & is_strong)
     expected = (
         is_hit,
-        n_hits + is_hit,
+        after,
         np.where(is_hit, 0.0, missed + dt),
         np.where(is_proven, 0.0, np.where(is_hit, unproven + dt, unproven)),
-        displaced | (is_hit & far & (n_hits + is_hit >= 3)),
+        displaced | (is_hit & far & (after >= 3)),
     )
     hit = np.empty(n, dtype=np.bool_)
     _segment_kernels.note_sightings(
-        primary, owner, table, dt, states, starts, 3, 0.8, hit, n_hits, missed, unproven, displaced
+        primary, owner, table, dt, states, starts, 3, 0.8, 3.0, 0.25, hit, n_hits, missed, unproven, displaced
     )
     for found, right in zip((hit, n_hits, missed, unproven, displaced), expected, strict=True):
         np.testing.assert_allclose(np.asarray(found, dtype=np.float64), np.asarray(right, dtype=np.float64))
