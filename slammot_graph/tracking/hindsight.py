@@ -38,6 +38,12 @@ _STRIDE = 4
 _MIN_LOOKS = 3
 """Fewer decide nothing."""
 
+_MOST_SCANS = 1000
+"""Scans from a track's end on among which those are."""
+
+_SAME_M = 0.05
+"""Places nearer than this to one that was asked about are not asked about again."""
+
 _VIEWS_KEPT = 512
 
 
@@ -79,8 +85,13 @@ class Hindsight:
         """Of some scans, nearest first, `_LOOKS` at most at which none of the chains is near a place (2,)."""
         n = len(self._stamps)
         is_taken = np.zeros(n, dtype=np.bool_)
+        first, last = int(scans.min()), int(scans.max())
         for chain in chains:
+            if chain.scans[0] > last or chain.scans[-1] < first:
+                continue
             is_close = np.hypot(*(chain.places - place).T) < _AWAY_M
+            if not is_close.any():
+                continue
             every = np.arange(int(chain.scans[0]), int(chain.scans[-1]) + 1)
             # between two sightings there it is there as well
             is_taken[every] |= np.interp(every, chain.scans, is_close.astype(np.float64)) > 0.0
@@ -124,7 +135,7 @@ class Hindsight:
         cov[:, 2:, :2] *= step
         reach = max(self._limits[_table.STANDING_REACH], 0.75 * float(np.quantile(chain.sizes, 0.9)) + 0.1)
         scans, places, noises, sizes = [], [], [], []
-        k, missed_s = int(chain.scans[end]), 0.0
+        k, missed_s, vacated = int(chain.scans[end]), 0.0, np.full(2, np.inf)
         while 0 <= k + step < len(self._stamps) and missed_s <= config.max_gap_s:
             dt = max(step * (self._stamps[k + step] - self._stamps[k]), 0.0)
             k += step
@@ -136,8 +147,10 @@ class Hindsight:
             if seen is None:
                 continue
             place, noise, size = seen
-            if not self._is_vacated(place, chain, chains, step):
-                break
+            if np.hypot(*(place - vacated)) > _SAME_M:
+                if not self._is_vacated(place, chain, chains, step):
+                    break
+                vacated = place
             _track_kernels.correct(state, cov, place[None], noise[None], np.zeros(1, dtype=np.int64))
             missed_s = 0.0
             scans.append(k)
@@ -196,7 +209,8 @@ class Hindsight:
         On the other side of the end the object itself may be there.
         """
         n = len(self._stamps)
-        scans = np.arange(int(chain.scans[0]), n) if step < 0 else np.arange(int(chain.scans[-1]), -1, -1)
+        end = int(chain.scans[0 if step < 0 else -1])
+        scans = np.arange(end, n)[:_MOST_SCANS] if step < 0 else np.arange(end, -1, -1)[:_MOST_SCANS]
         n_empty, n_present = self.looks(place, self.absences(chains, place, scans))
         return n_empty >= _MIN_LOOKS and n_empty > 4 * n_present
 
