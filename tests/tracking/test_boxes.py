@@ -61,7 +61,7 @@ def seen_of(box: FloatArray, laser: FloatArray) -> FloatArray:
 
 def test_a_car_that_drives_by_is_not_pulled_to_the_near_side() -> None:
     n = 80
-    stamps: FloatArray = 0.1 * np.arange(n)
+    stamps: FloatArray = np.linspace(0.0, 0.1 * (n - 1), n)
     laser = np.array([0.0, -0.1, 0.0])
     truth = np.column_stack([np.linspace(-4.0, 4.0, n), np.full(n, 0.9), np.zeros(n)])
     truth[:20, 1] = truth[20, 1]

@@ -12,7 +12,7 @@ from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from tests.tracking.test_segment_tracker import view_of
 
 N, FIRST = 60, 20
-STAMPS: FloatArray = 0.1 * np.arange(N)
+STAMPS: FloatArray = np.linspace(0.0, 0.1 * (N - 1), N)
 Y = -1.5 + 0.05 * np.arange(N)
 X = 2.5
 
