@@ -15,7 +15,7 @@ from slammot_graph.core.scan import Scan
 from slammot_graph.core.spool import Spool
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.detection.backward_pass import sightings_of_labels
+from slammot_graph.detection.backward_pass import final_views, sightings_of_views
 from slammot_graph.detection.base import NO_CLUSTERS, Detection
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
@@ -31,6 +31,7 @@ from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import ScanView
 from slammot_graph.tracking.factory import make_tracker
+from slammot_graph.tracking.hindsight import Hindsight
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
 
@@ -178,18 +179,20 @@ class Pipeline:
         if not isinstance(config, SegmentTrackerConfig) or config.smoothing is None:
             return None
         stamps = np.array(self._stamps[: len(T_map_base)])
-        sightings = self._sightings.table()
+        sightings, hindsight = self._sightings.table(), None
         detector = self.config.detector
         if isinstance(detector, EllipseDetectorConfig) and self.detector.has_backward_pass:
-            sightings = sightings_of_labels(
+            known = [seen.is_moving for seen in self._history] if labels is None else labels
+            view = final_views(
                 self._history,
                 T_map_base,
-                [seen.is_moving for seen in self._history] if labels is None else labels,
+                known,
                 ellipse_test=detector.ellipse_test,
-                tracker=make_tracker(config),
                 range_fraction=self.config.range_fraction,
             )
-        return smooth_tracks(sightings, stamps, T_map_base, config.smoothing)
+            sightings = sightings_of_views(view, stamps, T_map_base, make_tracker(config))
+            hindsight = Hindsight(view, stamps, config.limits())
+        return smooth_tracks(sightings, stamps, T_map_base, config.smoothing, hindsight)
 
     def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
         """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""

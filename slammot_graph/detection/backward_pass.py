@@ -5,7 +5,7 @@ and displaced away later is found, since the cells were free afterwards; what wa
 static points later is a wall after all, unless it belongs to an object that has displaced.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -69,18 +69,46 @@ def retrospective_labels(
     return labels
 
 
-def sightings_of_labels(
+def sightings_of_views(
+    view_of: Callable[[int], ScanView], stamps: FloatArray, T_map_base: FloatArray, tracker: Tracker
+) -> FloatArray:
+    """Track once more, forward, what the final labels call moving: who was seen too late at the time is seen at once.
+
+    Who came while nobody looked and stood for good is furniture to the labels, but still an object that was followed.
+
+    Parameters
+    ----------
+    view_of : callable
+        As of `final_views`.
+    stamps : (n,) array [s]
+        Of the scans.
+    T_map_base : (n, 3) array
+        Optimised poses.
+    tracker : Tracker
+        A new one.
+
+    Returns
+    -------
+    (m, 9) array
+        As of `SightingHistory.table`.
+    """
+    found = SightingHistory()
+    for k, stamp in enumerate(stamps.tolist()):
+        tracker.update(stamp, _NO_CENTRES, _NO_COVS, (), None, view_of(k))
+        if tracker.sightings is not None:
+            found.add(k, tracker.sightings, T_map_base[k])
+    return found.table()
+
+
+def final_views(
     history: ScanHistory,
     T_map_base: FloatArray,
     labels: Sequence[BoolArray],
     *,
     ellipse_test: EllipseTestConfig,
-    tracker: Tracker,
     range_fraction: float,
-) -> FloatArray:
-    """Track once more, forward, what the final labels call moving: who was seen too late at the time is seen at once.
-
-    Who came while nobody looked and stood for good is furniture to the labels, but still an object that was followed.
+) -> Callable[[int], ScanView]:
+    """Give the view of a scan by its number, at its final pose and with what its final labels call moving.
 
     Parameters
     ----------
@@ -89,37 +117,27 @@ def sightings_of_labels(
     labels : n bool arrays
     ellipse_test : EllipseTestConfig
         The beams' noise.
-    tracker : Tracker
-        A new one.
     range_fraction : float
         From this share of the laser's `range_max` on, a range is no return.
-
-    Returns
-    -------
-    (m, 9) array
-        As of `SightingHistory.table`.
     """
-    found = SightingHistory()
     has_several = history.n_lasers > 1
-    for k, (item, label) in enumerate(zip(history, labels, strict=False)):
-        scan, T = item.scan, T_map_base[k]
-        is_moving = label | item.is_lasting
+
+    def view_of(k: int) -> ScanView:
+        item, T = history[k], T_map_base[k]
+        is_moving = labels[k] | item.is_lasting
         view = ScanView.of_scan(
-            scan,
+            item.scan,
             T,
-            scan.points(T),
-            packed_cov=packed_covariances(scan, T, item.cov_relative, ellipse_test),
+            item.scan.points(T),
+            packed_cov=packed_covariances(item.scan, T, item.cov_relative, ellipse_test),
             cluster=np.where(is_moving, 0, -1),
             is_proven=is_moving,
             is_valid=item.is_valid,
             range_fraction=range_fraction,
         )
-        if has_several:
-            view = view.by_one_of_several()
-        tracker.update(scan.stamp, _NO_CENTRES, _NO_COVS, (), None, view)
-        if tracker.sightings is not None:
-            found.add(k, tracker.sightings, T)
-    return found.table()
+        return view.by_one_of_several() if has_several else view
+
+    return view_of
 
 
 _NO_CENTRES: FloatArray = np.empty((0, 2))

@@ -10,7 +10,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking._kernels import correct, predict
+from slammot_graph.tracking._kernels import correct, learn_noise, predict
 from slammot_graph.tracking._segment_kernels import (
     N_POINTS,
     N_PROVEN,
@@ -48,6 +48,8 @@ from slammot_graph.tracking._table_kernels import (
     N_CONFIRM,
     N_HITS,
     N_ON_FREE,
+    NOISE,
+    NOISE_GAIN,
     SEGMENT_GAP,
     SHOWN_S,
     SIGHT,
@@ -55,6 +57,7 @@ from slammot_graph.tracking._table_kernels import (
     STANDING_GAP,
     STANDING_REACH,
     STANDING_SPEED,
+    STRONG_POINTS,
     TWIN,
     TWIN_S,
     UNPROVEN_S,
@@ -179,7 +182,8 @@ def follow(
         n_seen = _join(table, limits, n, states, covs, whole, times, primary, owner, seen)
     is_hit = np.empty(n, dtype=np.bool_)
     note_sightings(
-        primary, owner, table, dt, states[:n], starts[:n], int(limits[N_CONFIRM]), limits[MIN_DISTANCE], is_hit,
+        primary, owner, table, dt, states[:n], starts[:n], int(limits[N_CONFIRM]), limits[MIN_DISTANCE],
+        limits[STRONG_POINTS], limits[BODY], is_hit,
         whole[N_HITS][:n], times[MISSED_S][:n], times[UNPROVEN_S][:n], flags[HAS_DISPLACED][:n],
     )  # fmt: skip
     for t in range(n):
@@ -288,5 +292,6 @@ def _join(
         if of[t] >= 0:
             note(seen[n_seen], whole[ID, t], places[t], noise[t], sizes[t])
             n_seen += 1
+    learn_noise(states[:n], covs[:n], places, of, limits[NOISE_GAIN], noise, times[NOISE][:n])
     correct(states[:n], covs[:n], places, noise, of)
     return n_seen

@@ -254,27 +254,35 @@ def note_sightings(
     starts: FloatArray,
     n_confirm: int,
     min_distance: float,
+    strong_points: float,
+    body: float,
     is_hit: BoolArray,
     n_hits: IntArray,
     missed_s: FloatArray,
     unproven_s: FloatArray,
     has_displaced: BoolArray,
 ) -> None:
-    """Keep the books of the tracks after a scan `dt` [s] later: fills `is_hit` (n,) and updates the others."""
+    """Keep the books of the tracks after a scan `dt` [s] later: fills `is_hit` (n,) and updates the others.
+
+    A sighting with `strong_points` on free cells counts for two, if it is no wider than a `body` [m].
+    """
+    n_proven = np.zeros(primary.shape[0])
+    n_strong = np.zeros(primary.shape[0])
+    for s in range(table.shape[0]):
+        if owner[s] >= 0:
+            n_proven[owner[s]] += table[s, N_PROVEN]
+            n_strong[owner[s]] += table[s, N_PROVEN] if table[s, WIDTH] <= body else 0.0
     for t in range(primary.shape[0]):
         is_hit[t] = primary[t] >= 0
         if not is_hit[t]:
             missed_s[t] += dt
             continue
-        n_hits[t] += 1
+        n_hits[t] += 2 if n_strong[t] >= strong_points else 1
         missed_s[t] = 0.0
-        unproven_s[t] += dt
+        unproven_s[t] = 0.0 if n_proven[t] > 0.0 else unproven_s[t] + dt
         distance = math.hypot(states[t, 0] - starts[t, 0], states[t, 1] - starts[t, 1])
         if distance >= min_distance and n_hits[t] >= n_confirm:
             has_displaced[t] = True
-    for s in range(table.shape[0]):
-        if owner[s] >= 0 and table[s, N_PROVEN] > 0.0:
-            unproven_s[owner[s]] = 0.0
 
 
 @kernel

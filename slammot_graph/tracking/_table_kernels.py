@@ -10,12 +10,12 @@ from slammot_graph.tracking._kernels import carry_track
 from slammot_graph.tracking._segment_kernels import N_POINTS, N_PROVEN, X, Y, group_unowned, measure
 
 ID, N_HITS, N_ALONE, SIGHT, N_ON_FREE = range(5)
-"""Rows of the whole numbers (5, n): identity, sightings, those with no other track near, what the laser sees there,
-sightings of which at least half the points were on free cells."""
+"""Rows of the whole numbers (5, n): identity, sightings (strong ones twice), those with no other track near, what the
+laser sees there, sightings of which at least half the points were on free cells."""
 
-MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S = range(4)
-"""Rows of the times (4, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
-cells proved; on the place of an older track."""
+MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S, NOISE = range(5)
+"""Rows of the times (5, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
+cells proved; on the place of an older track; and, no time, the learnt factor on the variance of a track's sightings."""
 
 HAS_DISPLACED, IS_SHOWN = range(2)
 """Rows of the flags (2, n)."""
@@ -24,9 +24,9 @@ HAS_DISPLACED, IS_SHOWN = range(2)
     ACCELERATION_STD, LEG_VARIANCE, BODY_VARIANCE, START_SPEED_VARIANCE, GATE, MAX_JUMP, SEGMENT_GAP, STANDING_REACH,
     STANDING_GAP, STANDING_SPEED, LEG_WIDTH, BODY, APART, TWIN, MAX_TWIN_S, N_CONFIRM, SHOWN_S, MAX_EMPTY_S,
     MAX_UNPROVEN_S, MIN_UNPROVEN_POINTS, MAX_MISSED_S, MIN_DISTANCE,
-    STANDING_DISTANCE, MIN_ON_FREE,
-) = range(24)  # fmt: skip
-"""Entries of the limits (24,): the tracker's configuration as numbers."""
+    STANDING_DISTANCE, MIN_ON_FREE, STRONG_POINTS, NOISE_FACTOR, NOISE_GAIN,
+) = range(27)  # fmt: skip
+"""Entries of the limits (27,): the tracker's configuration as numbers."""
 
 EXPECTED_S = 1.0
 """An object that has displaced is expected for so long after a sighting [s]."""
@@ -103,13 +103,14 @@ def begin(
         whole[:, t] = 0
         times[:, t] = 0.0
         flags[:, t] = False
+        times[NOISE, t] = limits[NOISE_FACTOR]
         for i in range(2):
             states[t, i] = starts[t, i] = place[0, i]
             covs[t, i + 2, i + 2] = limits[START_SPEED_VARIANCE]
             for j in range(2):
                 covs[t, i, j] = noise[0, i, j]
         whole[ID, t] = next_id + n_born
-        whole[N_HITS, t] = 1
+        whole[N_HITS, t] = 2 if n_proven >= limits[STRONG_POINTS] and size[0] <= limits[BODY] else 1
         note(seen[n_born], next_id + n_born, place[0], noise[0], size[0])
         for s in range(k):
             if own[s] == 0:

@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
 from slammot_graph.core.types import FloatArray
-from slammot_graph.tracking.smoothing import SmoothingConfig
+from slammot_graph.tracking.chain import SmoothingConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +21,8 @@ class SegmentTrackerConfig(Checked):
         Of one leg as a measurement of the person's centre.
     body_std_m : float
         The same of both legs, or of a trunk.
+    noise_factor, noise_gain : float
+        On the variance of both legs or a trunk at first, and how fast a track learns its own from its innovations.
     start_speed_std_m_s : float
     gate : float
         Largest squared Mahalanobis distance of a segment to a track (9.21: 99% for two dimensions).
@@ -43,6 +45,8 @@ class SegmentTrackerConfig(Checked):
         Two tracks nearer than this for this long follow one object: the younger one ends.
     n_confirm : int
         Sightings needed before a track is reported.
+    strong_points : int
+        A sighting with so many points on free cells counts for two.
     shown_s : float
         A track is reported up to this long after a sighting, unless the laser sees through it.
     max_empty_s : float
@@ -63,6 +67,8 @@ class SegmentTrackerConfig(Checked):
     acceleration_std_m_s2: Positive = 1.5
     leg_std_m: Positive = 0.15
     body_std_m: Positive = 0.06
+    noise_factor: Positive = 1.0
+    noise_gain: NotNegative = 0.05
     start_speed_std_m_s: Positive = 1.0
     gate: Positive = 9.21
     max_jump_m: Positive = 1.5
@@ -78,6 +84,7 @@ class SegmentTrackerConfig(Checked):
     twin_m: Positive = 0.5
     max_twin_s: Positive = 1.0
     n_confirm: Count = 3
+    strong_points: Count = 6
     shown_s: Positive = 0.35
     max_empty_s: Positive = 0.6
     max_unproven_s: Positive = 1.0
@@ -87,7 +94,7 @@ class SegmentTrackerConfig(Checked):
     smoothing: SmoothingConfig | None = field(default_factory=SmoothingConfig)
 
     def limits(self) -> FloatArray:
-        """(24,) what the kernels take, in the order that they name."""
+        """(27,) what the kernels take, in the order that they name."""
         return np.array(
             [
                 self.acceleration_std_m_s2,
@@ -114,6 +121,9 @@ class SegmentTrackerConfig(Checked):
                 self.min_distance_m,
                 self.standing_distance_m,
                 self.min_on_free,
+                self.strong_points,
+                self.noise_factor,
+                self.noise_gain,
             ],
             dtype=np.float64,
         )

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
 from slammot_graph.core.tracked_object import ObjectKind, TrackedObject
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
-from slammot_graph.tracking import _smoothing_kernels as _kernels
 from slammot_graph.tracking.base import Sightings
+from slammot_graph.tracking.chain import Chain, SmoothingConfig
+from slammot_graph.tracking.hindsight import Hindsight
 
 PERSON_SIZE_M = 0.9
 """What is larger than this most of the time is no person."""
@@ -29,42 +29,6 @@ side of a vehicle or a cart. Legs and trunks are round."""
 
 MIN_SIGHTINGS_OF_KIND = 10
 """With fewer sightings the kind is unknown."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SmoothingConfig(Checked):
-    """How tracklets are linked and smoothed after the run.
-
-    Attributes
-    ----------
-    acceleration_std_m_s2 : float
-        White-noise acceleration.
-    noise_factor : float
-        On the covariances of the sightings, whose errors last for several scans.
-    start_speed_std_m_s : float
-    min_sightings, min_distance_m, min_standing : int, float, int
-        Shorter chains are left out; so are those that never got this far from their start and have fewer sightings
-        than the third: legs of chairs that were seen now and then go nowhere.
-    max_absence_s : float
-        Tracklets farther apart in time are not linked.
-    twin_m : float
-        A chain that is nearer than this to a longer one most of the time follows the same object.
-    gate : float
-        Largest squared Mahalanobis distance of a link (13.28: 99% for four dimensions).
-    max_gap_std_m : float
-        Between two sightings a place that is known less well than this is left out.
-    """
-
-    acceleration_std_m_s2: Positive = 1.5
-    noise_factor: Positive = 2.0
-    start_speed_std_m_s: Positive = 1.0
-    min_sightings: Count = 5
-    min_distance_m: NotNegative = 0.5
-    min_standing: Count = 15
-    max_absence_s: Positive = 3.0
-    twin_m: Positive = 0.5
-    gate: Positive = 13.28
-    max_gap_std_m: Positive = 0.2
 
 
 class SightingHistory:
@@ -115,51 +79,12 @@ class SmoothedTracks:
     objects: tuple[TrackedObject, ...]
 
 
-@dataclass(eq=False)
-class _Chain:
-    """Sightings of one object in the map, in the order of the scans."""
-
-    scans: IntArray
-    places: FloatArray
-    covs: FloatArray
-    sizes: FloatArray
-    thickness: FloatArray
-
-    def is_object(self, config: SmoothingConfig) -> bool:
-        """Whether it has enough sightings, for where it went."""
-        n = len(self.scans)
-        away = np.hypot(*(self.places - self.places[0]).T).max()
-        return bool(n >= config.min_standing or (n >= config.min_sightings and away >= config.min_distance_m))
-
-    def smoothed(
-        self, scans: IntArray, stamps: FloatArray, config: SmoothingConfig
-    ) -> tuple[FloatArray, FloatArray]:
-        """States (n, 4) and covariances (n, 4, 4) at some scans, the first and last of which are sightings."""
-        n = len(scans)
-        at = np.searchsorted(scans, self.scans)
-        is_seen, places, noise = np.zeros(n, dtype=np.bool_), np.zeros((n, 2)), np.zeros((n, 2, 2))
-        is_seen[at], places[at], noise[at] = True, self.places, config.noise_factor * self.covs
-        states, covs = np.empty((n, 4)), np.empty((n, 4, 4))
-        times = stamps[scans]
-        for _ in range(2):
-            _kernels.smooth(
-                times,
-                is_seen,
-                places,
-                noise,
-                config.acceleration_std_m_s2,
-                config.start_speed_std_m_s,
-                states,
-                covs,
-            )
-            offset = self.places - states[at, :2]
-            distance2 = np.einsum("mi,mi->m", offset, np.linalg.solve(noise[at], offset[..., None])[..., 0])
-            noise[at] *= np.maximum(1.0, distance2 / 4.0)[:, None, None]
-        return states, covs
-
-
 def smooth_tracks(
-    sightings: FloatArray, stamps: FloatArray, T_map_base: FloatArray, config: SmoothingConfig
+    sightings: FloatArray,
+    stamps: FloatArray,
+    T_map_base: FloatArray,
+    config: SmoothingConfig,
+    hindsight: Hindsight | None = None,
 ) -> SmoothedTracks:
     """Link and smooth the tracks of a run.
 
@@ -172,12 +97,20 @@ def smooth_tracks(
     T_map_base : (n, 3) array
         Their optimised poses.
     config : SmoothingConfig
+    hindsight : Hindsight, optional
+        The scans themselves: objects are followed beyond their labels.
     """
     tracklets = _tracklets(sightings, T_map_base)
     chains = _linked([one for one in tracklets if len(one.scans) >= 3], stamps, config)
     kept = [chain for chain in chains if chain.is_object(config)]
     kept.sort(key=lambda chain: int(chain.scans[0]))
     kept = _without_twins(kept, config.twin_m)
+    if hindsight is not None:
+        kept = [hindsight.extended(chain, kept, config) for chain in kept]
+        kept = [
+            hindsight.boxed(chain, config) if _object(0, chain).kind == "vehicle" else chain for chain in kept
+        ]
+        kept.sort(key=lambda chain: int(chain.scans[0]))
     scans, ids, states, covs, is_seen = [], [], [], [], []
     for number, chain in enumerate(kept):
         every = np.arange(chain.scans[0], chain.scans[-1] + 1)
@@ -200,9 +133,9 @@ def smooth_tracks(
     )
 
 
-def _without_twins(chains: list[_Chain], twin_m: float) -> list[_Chain]:
+def _without_twins(chains: list[Chain], twin_m: float) -> list[Chain]:
     """Leave out chains that mostly lie on a longer one: the other leg of the same person."""
-    kept: list[_Chain] = []
+    kept: list[Chain] = []
     for chain in sorted(chains, key=lambda one: -len(one.scans)):
         is_covered = np.zeros(len(chain.scans), dtype=np.bool_)
         for other in kept:
@@ -215,7 +148,7 @@ def _without_twins(chains: list[_Chain], twin_m: float) -> list[_Chain]:
     return sorted(kept, key=lambda one: int(one.scans[0]))
 
 
-def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[_Chain]:
+def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[Chain]:
     """The tracks of the time, in the map."""
     rows = sightings[sightings[:, 0] < len(T_map_base)]
     scans = rows[:, 0].astype(np.int64)
@@ -226,7 +159,7 @@ def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[_Chain]:
     order = np.argsort(rows[:, 1], kind="stable")
     starts = np.flatnonzero(np.diff(rows[order, 1], prepend=-1.0))
     return [
-        _Chain(
+        Chain(
             scans=scans[own], places=places[own], covs=covs[own], sizes=rows[own, 7], thickness=rows[own, 8]
         )
         for own in np.split(order, starts[1:])
@@ -234,7 +167,7 @@ def _tracklets(sightings: FloatArray, T_map_base: FloatArray) -> list[_Chain]:
     ]
 
 
-def _linked(tracklets: list[_Chain], stamps: FloatArray, config: SmoothingConfig) -> list[_Chain]:
+def _linked(tracklets: list[Chain], stamps: FloatArray, config: SmoothingConfig) -> list[Chain]:
     """Join tracklets into chains: each has one successor at most, of least total cost."""
     from scipy.optimize import linear_sum_assignment
 
@@ -259,7 +192,7 @@ def _linked(tracklets: list[_Chain], stamps: FloatArray, config: SmoothingConfig
             members.append(int(following[members[-1]]))
         parts = [tracklets[k] for k in members]
         chains.append(
-            _Chain(
+            Chain(
                 **{name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
             )
         )
@@ -281,7 +214,7 @@ def _link_cost(
     return distance2 + float(np.linalg.slogdet(S)[1]) if distance2 <= config.gate else _track_kernels.OUTSIDE
 
 
-def _object(number: int, chain: _Chain) -> TrackedObject:
+def _object(number: int, chain: Chain) -> TrackedObject:
     """Say what it is by size and shape at most of the sightings that show one; the probability is their share."""
     is_large = chain.sizes > PERSON_SIZE_M
     is_edge = (chain.sizes >= EDGE_M) & (chain.thickness <= MAX_BEND * chain.sizes)

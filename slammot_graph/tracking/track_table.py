@@ -26,7 +26,7 @@ class TrackTable:
         Numbers of the latest scan's sightings, and of the tracks that are to be shown.
     states, covs, starts : (room, 4), (room, 4, 4), (room, 2) arrays
         x, y, vx, vy [m, m/s]; where each was first seen [m].
-    whole, times, flags : (5, room), (4, room), (2, room) arrays
+    whole, times, flags : (5, room), (5, room), (2, room) arrays
         Their rows are named in the kernels.
     seen : (room, 8) array
         Identity, x, y [m], xx, xy, yy [m^2], extent [m] of each sighting, and how far its points lie off their line.
@@ -41,7 +41,7 @@ class TrackTable:
         self.covs: FloatArray = np.zeros((_ROOM, 4, 4))
         self.starts: FloatArray = np.zeros((_ROOM, 2))
         self.whole: IntArray = np.zeros((5, _ROOM), dtype=np.int64)
-        self.times: FloatArray = np.zeros((4, _ROOM))
+        self.times: FloatArray = np.zeros((5, _ROOM))
         self.flags: BoolArray = np.zeros((2, _ROOM), dtype=np.bool_)
         self.seen: FloatArray = np.full((_ROOM, 8), np.nan)
         self.beam_starts: IntArray = np.zeros(_ROOM + 1, dtype=np.int64)

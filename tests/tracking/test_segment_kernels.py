@@ -116,16 +116,19 @@ def test_the_books_of_the_tracks(seed: int) -> None:
     is_hit = primary >= 0
     is_proven = np.array([(table[owner == t, N_PROVEN] > 0).any() for t in range(n)])
     far = np.hypot(*(states[:, :2] - starts).T) >= 0.8
+    narrow = table[:, WIDTH] <= 0.25
+    is_strong = np.array([table[(owner == t) & narrow, N_PROVEN].sum() >= 3 for t in range(n)])
+    after = n_hits + is_hit + (is_hit & is_strong)
     expected = (
         is_hit,
-        n_hits + is_hit,
+        after,
         np.where(is_hit, 0.0, missed + dt),
         np.where(is_proven, 0.0, np.where(is_hit, unproven + dt, unproven)),
-        displaced | (is_hit & far & (n_hits + is_hit >= 3)),
+        displaced | (is_hit & far & (after >= 3)),
     )
     hit = np.empty(n, dtype=np.bool_)
     _segment_kernels.note_sightings(
-        primary, owner, table, dt, states, starts, 3, 0.8, hit, n_hits, missed, unproven, displaced
+        primary, owner, table, dt, states, starts, 3, 0.8, 3.0, 0.25, hit, n_hits, missed, unproven, displaced
     )
     for found, right in zip((hit, n_hits, missed, unproven, displaced), expected, strict=True):
         np.testing.assert_allclose(np.asarray(found, dtype=np.float64), np.asarray(right, dtype=np.float64))
@@ -272,3 +275,22 @@ def test_tracks_that_have_ended_leave_no_gap(seed: int) -> None:
     found += [rows[:, :kept] for rows in (whole, times, flags)]
     for one, right in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, right)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_track_learns_the_noise_of_its_measurements(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 4
+    states, centres = rng.normal(0.0, 0.2, (n, 4)), rng.normal(0.0, 0.2, (n, 2))
+    root = rng.normal(0.0, 0.1, (n, 4, 4))
+    covs, noise = root @ root.transpose(0, 2, 1), np.tile(0.01 * np.eye(2), (n, 1, 1))
+    of, factor = np.array([0, -1, 2, 3]), rng.uniform(0.6, 2.0, n)
+    scaled, after = noise * factor[:, None, None], factor.copy()
+    for t in (0, 2, 3):
+        offset = centres[t] - states[t, :2]
+        nis = offset @ np.linalg.solve(covs[t, :2, :2] + scaled[t], offset)
+        after[t] = np.clip(factor[t] * np.exp(0.05 * (0.5 * min(nis, 10.0) - 1.0)), 0.5, 5.0)
+    scaled[1] = noise[1]
+    _kernels.learn_noise(states, covs, centres, of, 0.05, noise, factor)
+    np.testing.assert_allclose(noise, scaled, rtol=1e-12)
+    np.testing.assert_allclose(factor, after, rtol=1e-9)

@@ -6,7 +6,8 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.tracking._smoothing_kernels import smooth
 from slammot_graph.tracking.base import Sightings
-from slammot_graph.tracking.smoothing import SightingHistory, SmoothingConfig, smooth_tracks
+from slammot_graph.tracking.chain import SmoothingConfig
+from slammot_graph.tracking.smoothing import SightingHistory, smooth_tracks
 
 CONFIG = SmoothingConfig()
 
