@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection.reasons import FREE, FURNITURE
+from slammot_graph.detection.reasons import FREE, FURNITURE, NOT_VALID
 
 
 @kernel
@@ -18,18 +18,25 @@ def count_hits(
     now: int,
     oldest: int,
     points: FloatArray,
+    is_valid: BoolArray,
     is_static: BoolArray,
-    is_moving: BoolArray,
+    most_moving: float,
 ) -> None:
-    """Count one more for each cell with a static point of scan `now`, one less for each with a moving one.
+    """Count one more for each cell with a static point of scan `now`, one less for each with another valid one.
 
-    The first point of a scan in a cell decides; none counts less than 0. A cell that was not hit since `oldest` starts
-    anew.
+    Nothing where more than the share `most_moving` of the valid points is not static. The first point of a scan in a
+    cell decides; none counts less than 0. A cell that was not hit since `oldest` starts anew.
     """
     row_mask = counts.shape[0] - 1
     col_mask = counts.shape[1] - 1
+    n_valid = n_static = 0
     for k in range(points.shape[0]):
-        if not (is_static[k] or is_moving[k]):
+        n_valid += is_valid[k]
+        n_static += is_static[k]
+    if n_valid - n_static > most_moving * n_valid:
+        return
+    for k in range(points.shape[0]):
+        if not is_valid[k]:
             continue
         i = math.floor(points[k, 1] * inv_resolution) & row_mask
         j = math.floor(points[k, 0] * inv_resolution) & col_mask
@@ -49,21 +56,28 @@ def was_hit(
     points: FloatArray,
     reason: IntArray,
     min_hits: int,
+    most_moving: float,
     out: BoolArray,
 ) -> bool:
-    """Mark in `out` the FREE points in cells that count at least so many hits; tell whether there is one."""
+    """Mark in `out` the FREE points in cells that count at least so many hits; tell whether there is one.
+
+    False where more than the share `most_moving` of the valid points is FREE.
+    """
     row_mask = counts.shape[0] - 1
     col_mask = counts.shape[1] - 1
     is_any = False
+    n_valid = n_free = 0
     for k in range(points.shape[0]):
         out[k] = False
+        n_valid += 1 if reason[k] != NOT_VALID else 0
         if reason[k] != FREE:
             continue
+        n_free += 1
         i = math.floor(points[k, 1] * inv_resolution) & row_mask
         j = math.floor(points[k, 0] * inv_resolution) & col_mask
         out[k] = stamp[i, j] >= oldest and counts[i, j] >= min_hits
         is_any = is_any or out[k]
-    return is_any
+    return is_any and n_free <= most_moving * n_valid
 
 
 @kernel

@@ -260,8 +260,7 @@ class EllipseDetector:
             if self._hits is not None:
                 is_hit = self._hits.hits(points, is_static, self._expected)
                 self._hits.oldest = self.grid.oldest
-                moves = is_valid & ~is_hit
-                self._hits.add(scan.index, scan.stamp, points, is_hit, moves, scan.laser.number)
+                self._hits.add(scan.index, scan.stamp, points, is_valid, is_hit, scan.laser.number)
             self.grid.add_scan(scan.index, scan, T_local_base, points, is_valid, is_hit)
         if self._visibility_check is not None:
             self._visibility_check.remember(scan.stamp, T_local_base, points, is_valid, scan.laser.number)

@@ -40,8 +40,11 @@ def without_furniture(
     """
     n = len(labels)
     moving: dict[int, tuple[FloatArray, IntArray]] = {}
+    is_crowd = np.zeros(n, dtype=np.bool_)
     for k in range(n):
-        if labels[k].any():
+        n_moving = np.count_nonzero(labels[k])
+        is_crowd[k] = n_moving and n_moving > config.crowd_share * np.count_nonzero(history[k].is_valid)
+        if n_moving and not is_crowd[k]:
             points = history[k].scan.points(T_map_base[k])
             moving[k] = points, _cell_codes(points[labels[k]], resolution_m)
     known = np.unique(np.concatenate([_NO_CELLS, *(codes for _, codes in moving.values())]))
@@ -56,7 +59,7 @@ def without_furniture(
         scan = item.scan
         stamps[k] = scan.stamp
         is_same = abs(scan.stamp - latest_s.get(scan.laser.number, -math.inf)) < config.spacing_s
-        if is_same:
+        if is_same or is_crowd[k]:
             hits.append(_NO_CELLS)
             continue
         latest_s[scan.laser.number] = scan.stamp

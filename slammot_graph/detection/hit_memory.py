@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.core.checks import Checked, Count, NotNegative, PositiveShare
+from slammot_graph.core.checks import Checked, Count, NotNegative, PositiveShare, Share
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _hit_kernels
 from slammot_graph.detection.clustering import ClusterConfig, find_clusters
@@ -33,6 +33,9 @@ class HitMemoryConfig(Checked):
         Scans that follow an earlier one of the same laser sooner than this are not counted: they see the same.
     apart_s : float
         After the run: only hits at least this long before or after count, for who comes and stands is hit as well.
+    crowd_share : float
+        Where more than this share of a scan moves, nothing is counted and nothing called furniture: what stands beside
+        is people as well.
     spare_m : float
         Static points this near to where an object that has displaced is expected are no hits, neither here nor for
         the test's grid: who stops must not be taken for a part of the building.
@@ -43,6 +46,7 @@ class HitMemoryConfig(Checked):
     min_share: PositiveShare = 0.5
     spacing_s: NotNegative = 0.15
     apart_s: NotNegative = 3.0
+    crowd_share: Share = 0.15
     spare_m: NotNegative = 0.35
 
 
@@ -72,16 +76,24 @@ class HitMemory:
         number: int,
         stamp_s: float,
         points: FloatArray,
+        is_valid: BoolArray,
         is_static: BoolArray,
-        is_moving: BoolArray,
         laser: int = 0,
     ) -> None:
-        """Take in a scan: its number, stamp [s], points (n, 2) [m], which of them are static or move, its laser."""
+        """Take in a scan: its number, stamp [s], points (n, 2) [m], its returns, those that are static, its laser."""
         if abs(stamp_s - self._latest_s.get(laser, -math.inf)) < self.config.spacing_s:
             return
         self._latest_s[laser] = stamp_s
         _hit_kernels.count_hits(
-            self.counts, self.stamp, self.inv_resolution, number, self.oldest, points, is_static, is_moving
+            self.counts,
+            self.stamp,
+            self.inv_resolution,
+            number,
+            self.oldest,
+            points,
+            is_valid,
+            is_static,
+            self.config.crowd_share,
         )
 
     def hits(self, points: FloatArray, is_static: BoolArray, expected: FloatArray) -> BoolArray:
@@ -120,6 +132,7 @@ class HitMemory:
             points,
             reason,
             self.config.min_hits,
+            self.config.crowd_share,
             is_hit_before,
         ):
             return

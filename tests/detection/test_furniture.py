@@ -93,3 +93,11 @@ def test_labels_without_moving_points_stay() -> None:
     labels = [np.zeros(len(item.scan.ranges), dtype=np.bool_) for item in history]
     assert all(not label.any() for label in judge(history, labels))
     assert judge([], []) == []
+
+
+def test_a_crowd_is_not_judged() -> None:
+    history = sees_leg_now_and_then()
+    crowd = [*range(40), *range(80, len(history[0].is_valid))]
+    labels = [is_person(item.scan) & (k == 56) for k, item in enumerate(history)]
+    labels[56][crowd] = history[56].is_valid[crowd]
+    np.testing.assert_array_equal(judge(history, labels)[56], labels[56])
