@@ -47,7 +47,6 @@ _DETECTOR = EllipseDetectorConfig(
     clusters=ClusterConfig(split=None),
     visibility_check=None,
     retest=None,
-    hit_memory=None,
     backward_pass=False,
     local_grid=None,
 )

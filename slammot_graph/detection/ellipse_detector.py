@@ -281,13 +281,13 @@ class EllipseDetector:
             clusters=self.config.clusters,
             tracker=tracker,
         )
-        if self.config.hit_memory is None:
+        if self._hits is None:
             return labels
         return without_furniture(
             labels,
             history,
             T_map_base,
-            config=self.config.hit_memory,
+            config=self._hits.config,
             clusters=self.config.clusters,
             resolution_m=self.grid.config.resolution_m,
         )

@@ -46,7 +46,7 @@ class HitMemoryConfig(Checked):
     min_share: PositiveShare = 0.5
     spacing_s: NotNegative = 0.15
     apart_s: NotNegative = 3.0
-    crowd_share: Share = 0.15
+    crowd_share: Share = 0.25
     spare_m: NotNegative = 0.35
 
 

@@ -187,4 +187,4 @@ def test_in_a_crowd_nothing_is_counted_and_nothing_is_furniture() -> None:
     for k in range(6, 9):
         hits.add(k, 0.5 * k, LEG, YES, YES)
     assert told(hits) == [FURNITURE, FURNITURE]
-    assert told(hits, np.repeat(LEG, 10, axis=0)) == [FREE] * 20  # of 80 beams
+    assert told(hits, np.repeat(LEG, 15, axis=0)) == [FREE] * 30  # of 90 beams
