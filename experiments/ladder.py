@@ -97,6 +97,7 @@ def presets() -> tuple[Preset, ...]:
         clusters=paper.detector.clusters,
         visibility_check=None,
         retest=None,
+        hit_memory=None,
         backward_pass=False,
     )
     no_loops = replace(ours.localizer, close_loops=False)
@@ -108,7 +109,8 @@ def presets() -> tuple[Preset, ...]:
     )
     config = add(
         "test at the match",
-        "the test again at the matched pose, a margin of one cell, visibility check, wide subsets are split",
+        "the test again at the matched pose, a margin of one cell, visibility check, wide subsets are split, a memory"
+        " of hits",
         replace(config, detector=replace(ours.detector, backward_pass=False)),
     )
     config = add(

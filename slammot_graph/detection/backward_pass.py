@@ -170,9 +170,14 @@ def _last_in_window(history: Sequence[ScanRecord]) -> list[int]:
 
 
 def _follow(tracker: Tracker, item: ScanRecord, later: Detection, points: FloatArray) -> BoolArray:
-    """Track backward in time; returns the beams on objects that have moved, less those that were mostly wall."""
+    """Track backward in time; returns the beams on objects that have moved.
+
+    Of those that were mostly wall only the beams on cells that were free later: who stood there until he went.
+    """
     tracker.update(-item.scan.stamp, *later.clusters(points))
     is_displaced = np.zeros(len(points), dtype=np.bool_)
     for track in tracker.displaced():
-        is_displaced[track.beams] = 2 * np.count_nonzero(item.is_wall[track.beams]) <= len(track.beams)
+        is_free = later.reason[track.beams] == reasons.FREE
+        mostly_wall = 2 * np.count_nonzero(item.is_wall[track.beams]) > len(track.beams)
+        is_displaced[track.beams] = is_free if mostly_wall else True
     return is_displaced

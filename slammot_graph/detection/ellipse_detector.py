@@ -16,6 +16,8 @@ from slammot_graph.detection.backward_pass import retrospective_labels
 from slammot_graph.detection.base import Detection, PoseEstimate
 from slammot_graph.detection.clustering import ClusterConfig
 from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_moving
+from slammot_graph.detection.furniture import without_furniture
+from slammot_graph.detection.hit_memory import HitMemory, HitMemoryConfig
 from slammot_graph.detection.probability import probability_of_moving
 from slammot_graph.detection.scan_history import ScanRecord
 from slammot_graph.detection.visibility_check import VisibilityCheck, VisibilityCheckConfig
@@ -84,6 +86,8 @@ class EllipseDetectorConfig(Checked):
         None: free cells alone tell what moves.
     retest : RetestConfig or None
         None: the test at the predicted pose is the last.
+    hit_memory : HitMemoryConfig or None
+        None: what was hit before is known by the grid alone. Without a local grid there is no such memory.
     backward_pass : bool
         Test every scan again after the run, with what was seen later.
     local_grid : LocalGridConfig or None
@@ -95,6 +99,7 @@ class EllipseDetectorConfig(Checked):
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     visibility_check: VisibilityCheckConfig | None = field(default_factory=VisibilityCheckConfig)
     retest: RetestConfig | None = field(default_factory=RetestConfig)
+    hit_memory: HitMemoryConfig | None = field(default_factory=HitMemoryConfig)
     backward_pass: bool = True
     local_grid: LocalGridConfig | None = field(default_factory=LocalGridConfig)
 
@@ -136,10 +141,20 @@ class EllipseDetector:
         if map_grid is None:
             raise ValueError("without a local grid the detector needs the map's")
         self.grid = map_grid
+        self._hits = (
+            None
+            if local is None or config.hit_memory is None
+            else HitMemory(
+                config.hit_memory,
+                resolution_m=local.resolution_m,
+                window_m=2.0 * max_range_m + local.window_margin_m,
+            )
+        )
         self._keyframes = deque[int](maxlen=None if local is None else local.n_keyframes)
         self._first_remembered = 0
         self._visibility_check = self._new_visibility_check()
         self._T_tested: FloatArray = se2.IDENTITY
+        self._expected: FloatArray = np.empty((0, 2))
 
     @property
     def window_start(self) -> int:
@@ -164,6 +179,7 @@ class EllipseDetector:
     ) -> Detection:
         """See `Detector`."""
         self._T_tested = predicted.T_local_base
+        self._expected = predicted_positions
         vacated, reach_m = None, 0.0
         if self._visibility_check is not None:
             vacated = self._visibility_check.vacated(scan, predicted.T_local_base, is_valid)
@@ -179,6 +195,7 @@ class EllipseDetector:
             predicted_positions,
             vacated,
             reach_m,
+            self._hits,
         )
 
     def retest(
@@ -239,7 +256,12 @@ class EllipseDetector:
             if is_keyframe:
                 self._keyframes.append(scan.index)
                 self.grid.oldest = max(self._keyframes[0], self._first_remembered)
-            self.grid.add_scan(scan.index, scan, T_local_base, points, is_valid, is_static)
+            is_hit = is_static
+            if self._hits is not None:
+                is_hit = self._hits.hits(points, is_static, self._expected)
+                self._hits.oldest = self.grid.oldest
+                self._hits.add(scan.index, scan.stamp, points, is_valid, is_hit, scan.laser.number)
+            self.grid.add_scan(scan.index, scan, T_local_base, points, is_valid, is_hit)
         if self._visibility_check is not None:
             self._visibility_check.remember(scan.stamp, T_local_base, points, is_valid, scan.laser.number)
 
@@ -250,7 +272,7 @@ class EllipseDetector:
         if not self.config.backward_pass:
             return None
         local = self.config.local_grid
-        return retrospective_labels(
+        labels = retrospective_labels(
             history,
             T_map_base,
             grid=self.grid.config,
@@ -258,6 +280,16 @@ class EllipseDetector:
             ellipse_test=self.config.ellipse_test,
             clusters=self.config.clusters,
             tracker=tracker,
+        )
+        if self._hits is None:
+            return labels
+        return without_furniture(
+            labels,
+            history,
+            T_map_base,
+            config=self._hits.config,
+            clusters=self.config.clusters,
+            resolution_m=self.grid.config.resolution_m,
         )
 
     def _new_visibility_check(self) -> VisibilityCheck | None:

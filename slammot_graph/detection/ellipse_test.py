@@ -11,6 +11,7 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _cluster_kernels, _kernels, reasons
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
+from slammot_graph.detection.hit_memory import HitMemory
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 
 
@@ -117,6 +118,7 @@ def detect_moving(
     predicted_positions: FloatArray | None = None,
     vacated: FloatArray | None = None,
     vacated_reach_m: float = 0.5,
+    hits: HitMemory | None = None,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -136,18 +138,23 @@ def detect_moving(
         Where something stood a moment ago that is gone, frame a [m].
     vacated_reach_m : float
         Beams on unknown cells move if they end this near to such a place.
+    hits : HitMemory, optional
+        What was hit before, frame a.
     """
+    expected = _NOWHERE if predicted_positions is None else predicted_positions
     points, packed, reason = _test(scan, is_valid, T_a_base, cov_pose, grid, config)
     if config.common_mode is not None:
         consensus = config.common_mode.consensus
         reason = _test_at_sigma_points(scan, is_valid, T_a_base, cov_pose, grid, config, consensus)
+    if hits is not None:
+        hits.call_furniture(points, reason, clusters, expected, config.track_reach_m or 0.0)
     cluster, is_moving = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.bool_)
     n_clusters = _cluster_kernels.group_moving(
         points,
         is_valid,
         _NOWHERE if vacated is None else vacated,
         vacated_reach_m,
-        _NOWHERE if predicted_positions is None else predicted_positions,
+        expected,
         config.track_reach_m or 0.0,
         config.abstain_share,
         *clusters.kernel_arguments(),

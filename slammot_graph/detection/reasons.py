@@ -1,8 +1,8 @@
 """Why a beam was called moving or not: the numbers in `StepResult.reason` index `REASONS`."""
 
-NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, ABSTAINED, TRACKED, NOT_TESTED, VACATED = range(
-    10
-)
+(
+    NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, ABSTAINED, TRACKED, NOT_TESTED, VACATED, FURNITURE,
+) = range(11)  # fmt: skip
 
 REASONS = (
     "no valid return",
@@ -15,4 +15,5 @@ REASONS = (
     "moving: where a tracked object was expected, and no occupied cell",
     "static: this method makes no test",
     "moving: beside a place where something stood a moment ago that is empty now, and no occupied cell",
+    "static: free cells only, but most of its cluster lies where static points lay before",
 )
