@@ -99,9 +99,9 @@ def draw_overview(
     """Draw a run as a PNG file.
 
     Shown are the map in its three states, the optimised trajectory, raw odometry, loop closures, moving points, the
-    tracks of moving objects and what has changed since a saved map, seen from above with x to the right. The picture ends where the trajectory and the
-    known map do, but for a few stray cells. A track is drawn through the places where its object was seen; what
-    the tracker only predicted, between them and after the last, is not.
+    tracks of moving objects and what has changed since a saved map, seen from above with x to the right. The picture
+    ends where the trajectory and the known map do, but for a few stray cells. A track is drawn through the places
+    where its object was seen; what the tracker only predicted, between them and after the last, is not.
 
     Parameters
     ----------
