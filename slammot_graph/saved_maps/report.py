@@ -86,11 +86,11 @@ def moved_trajectory(T_map_base: FloatArray, before: SavedMap, nodes: FloatArray
     """
     moved = T_map_base.copy()
     ends = [run.first_node for run in before.runs[1:]] + [len(before.nodes)]
-    shown = [
+    shown = sorted(
         (run.first_scan, run.first_node, end)
         for run, end in zip(before.runs, ends, strict=True)
         if run.first_scan >= 0
-    ]
+    )
     for k, (first_scan, first, end) in enumerate(shown):
         last_scan = shown[k + 1][0] if k + 1 < len(shown) else len(moved)
         scans = first_scan + before.node_scans[first:end]

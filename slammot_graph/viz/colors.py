@@ -7,6 +7,10 @@ COLOR_STATIC = 0x2F6FB5FF
 COLOR_MOVING = 0xE3342FFF
 COLOR_MOVED = 0xF29B94FF
 """Of the moving points of scans gone by."""
+COLOR_NEW = 0xD55E00FF
+"""Of what stands where a saved map saw nothing ..."""
+COLOR_GONE = 0x56B4E9FF
+"""... and of what it showed and is there no more."""
 COLOR_CLOSURE = 0xCC33AAFF
 COLOR_MATCH = 0x56B4E9FF
 COLOR_BEFORE = 0x8C564BFF

@@ -13,7 +13,9 @@ from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.viz.colors import (
     COLOR_CLOSURE,
     COLOR_ESTIMATE,
+    COLOR_GONE,
     COLOR_MOVED,
+    COLOR_NEW,
     COLOR_ODOMETRY,
     to_hex,
     track_color,
@@ -79,6 +81,10 @@ POINTS: dict[str, Any] = {
     "marker": ".",
     "markeredgewidth": 0.0,
 }
+CHANGED: dict[str, dict[str, Any]] = {
+    "changed: new": {**POINTS, "color": to_hex(COLOR_NEW)},
+    "changed: gone": {**POINTS, "color": to_hex(COLOR_GONE)},
+}
 TRACK: dict[str, Any] = {"linewidth": 0.8}
 LAST_SEEN: dict[str, Any] = {"marker": "o", "markersize": 2.5, "markeredgewidth": 0.0}
 
@@ -92,10 +98,10 @@ def draw_overview(
 ) -> None:
     """Draw a run as a PNG file.
 
-    Shown are the map in its three states, the optimised trajectory, raw odometry, loop closures, moving points and
-    the tracks of moving objects, seen from above with x to the right. The picture ends where the trajectory and the
-    known map do, but for a few stray cells. A track is drawn through the places where its object was seen; what
-    the tracker only predicted, between them and after the last, is not.
+    Shown are the map in its three states, the optimised trajectory, raw odometry, loop closures, moving points, the
+    tracks of moving objects and what has changed since a saved map, seen from above with x to the right. The picture
+    ends where the trajectory and the known map do, but for a few stray cells. A track is drawn through the places
+    where its object was seen; what the tracker only predicted, between them and after the last, is not.
 
     Parameters
     ----------
@@ -135,6 +141,8 @@ def compose_overview(
     draw_map(axes, result.grid, max_cells=max(MAX_MAP_IN) * DPI)
     _draw_closures(axes, result)
     _draw_points(axes, page, points)
+    for label, places in _changes(result).items():
+        axes.plot(*places.T, **CHANGED[label], markersize=3.0, zorder=2, label=label)
     _draw_tracks(axes, result)
     _draw_paths(axes, result)
     if _shows_origin(limits):
@@ -218,6 +226,7 @@ def _legend(result: RunResult, limits: Limits, *, has_points: bool) -> list[list
         robot.append(line_entry("loop closures", **style))
     tracks = _tracks(result)
     moving = [line_entry("moving points", markersize=4.5, **POINTS)] if has_points else []
+    moving += [line_entry(label, markersize=4.5, **CHANGED[label]) for label in _changes(result)]
     if tracks:
         moving.append(_track_entry(list(tracks)))
     origin = [origin_entry("map's origin, x and y")] if _shows_origin(limits) else []
@@ -268,6 +277,12 @@ def _closures(result: RunResult) -> IntArray:
     """(k, 2) nodes that closures join."""
     ends = [(edge.from_node, edge.to_node) for edge in result.edges if edge.kind == "closure"]
     return np.array(ends, dtype=np.int64).reshape(-1, 2)
+
+
+def _changes(result: RunResult) -> dict[str, FloatArray]:
+    """Give the places (k, 2) [m] of what has changed since the map that the run started from, where anything has."""
+    places = dict(zip(CHANGED, (result.new_points, result.gone_points), strict=True))
+    return {label: points for label, points in places.items() if len(points)}
 
 
 def _tracks(result: RunResult) -> dict[int, FloatArray]:

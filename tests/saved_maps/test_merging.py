@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slammot_graph import InputError, Run, SavedMap
+from slammot_graph.core import se2
 from slammot_graph.core.saved_map_parts import runs_of_nodes
 from slammot_graph.saved_maps import closures_between_runs, merge_maps, moved_trajectory
 from tests.localization.saved_maps import hotel_log
@@ -27,6 +28,15 @@ def test_trajectories_move_with_their_nodes() -> None:
     first = merged().first_nodes[1]
     moved = moved_trajectory(half(1).T_map_base, half_map(1), merged().saved.nodes[first:], "second")
     assert errors_m(moved, true_poses(1)).max() < 0.08
+
+
+def test_runs_may_stand_in_any_order_in_the_trajectory() -> None:
+    both, n = merged().saved, len(half(1).stamps)
+    runs = tuple(replace(run, first_scan=first) for run, first in zip(both.runs, (n, 0), strict=True))
+    T = np.vstack([true_poses(1), true_poses(0)])
+    shift = np.array([3.0, -2.0, 0.5])
+    moved = moved_trajectory(T, replace(both, runs=runs), se2.compose(shift[None], both.nodes), "both")
+    np.testing.assert_allclose(moved[:, :2], se2.compose(shift[None], T)[:, :2], atol=1e-9)
 
 
 def test_a_trajectory_of_fewer_scans_than_its_map_is_refused() -> None:

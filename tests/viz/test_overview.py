@@ -215,6 +215,17 @@ def test_moving_points_are_thinned() -> None:
     assert same_color(line.get_color(), to_hex(COLOR_MOVED))
 
 
+def test_what_has_changed_since_a_saved_map_is_drawn() -> None:
+    new, gone = np.array([[0.5, 0.2], [0.55, 0.2]]), np.array([[1.0, -0.3]])
+    figure = compose_overview(replace(result(), new_points=new, gone_points=gone))
+    (drawn,) = lines_of(figure, "changed: new")
+    np.testing.assert_array_equal(drawn, new)
+    (drawn,) = lines_of(figure, "changed: gone")
+    np.testing.assert_array_equal(drawn, gone)
+    assert {"changed: new", "changed: gone"} <= set(labels(figure))
+    assert not any("changed" in label for label in labels(compose_overview(result())))
+
+
 def test_a_track_ends_where_its_object_was_last_seen() -> None:
     tracks = np.vstack([walk(3, 6), walk(4, 2), walk(5, 1)])
     is_seen = np.array([True, True, False, True, False, False, True, False, False])
