@@ -13,7 +13,7 @@ from slammot_graph.core.results import GraphEdge
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure
 
-MIN_VISITS = 20
+MIN_VISITS = 40
 """So often a place has been seen again before anything is cut there."""
 
 N_RECENT = 4
