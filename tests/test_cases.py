@@ -155,3 +155,19 @@ def test_what_is_no_log_raises_one_line(cases: Path) -> None:
     with pytest.raises(InputError) as caught:
         open_log(cases / "record_v12.bag")
     assert "\n" not in str(caught.value)
+
+
+def test_a_leap_of_20_km_while_nothing_is_seen_loses_nothing(cases: Path) -> None:
+    result = run(cases / "far_jump_20000m.npz")
+    assert len(result.stamps) == 120
+    assert np.isfinite(result.T_map_base).all()
+    assert max(result.grid.p_occupied.shape) < 2000  # of what was seen, not of the leap
+    assert "odometry jumps" in kinds_of(result)
+
+
+def test_a_slow_laser_that_turns_is_as_good_as_one_that_sees_all_at_once(cases: Path) -> None:
+    name, twin = "slow_laser_turns.npz", "slow_laser_turns_snapshot.npz"
+    result, of_twin = run(cases / name), run(cases / twin)
+    limit_m = 1.5 * error_m(of_twin, truth_of(cases, twin, of_twin.stamps))
+    assert error_m(result, truth_of(cases, name, result.stamps)) < limit_m < 0.01
+    assert len(result.tracks) == 0

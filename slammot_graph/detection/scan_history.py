@@ -16,7 +16,7 @@ from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
 
-MOST_IN_MEMORY = 32 << 20
+MOST_IN_MEMORY = 8 << 20
 """Beyond this [bytes] a temporary file on the disk holds them."""
 
 _HEAD = struct.Struct("=qdqiI?H9f")

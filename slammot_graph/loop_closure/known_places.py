@@ -14,7 +14,7 @@ from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure
 from slammot_graph.loop_closure.submap import Submap
 
-MIN_VISITS = 6
+MIN_VISITS = 40
 """So often a place has been seen again before anything is cut there."""
 
 N_RECENT = 4

@@ -64,3 +64,18 @@ def test_a_real_file(rng: np.random.Generator) -> None:
     places = [kept.add(piece) for piece in pieces]
     assert [kept.read(place, 700) for place in places] == pieces
     kept.close()
+
+
+@pytest.mark.parametrize("most_in_memory", [10, 10_000])
+def test_all_from_any_place_on(most_in_memory: int) -> None:
+    spool, data = Spool(most_in_memory), bytes(range(256)) * 4
+    places = [spool.add(data[k : k + 8]) for k in range(0, len(data), 8)]
+    for place in (places[0], places[5], places[-1], len(data)):
+        assert spool.since(place) == data[place:]
+    found = b""
+    while piece := spool.read_some(len(found), 100):
+        found += piece
+    assert found == data
+    spool.add(b"more")
+    assert spool.since(len(data)) == b"more"
+    spool.close()

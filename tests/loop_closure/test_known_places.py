@@ -1,5 +1,7 @@
 """Laps in known places hang on these alone, and the graph stays one that can be solved."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,13 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
+from slammot_graph.loop_closure import known_places
 from slammot_graph.loop_closure.closure import Closure
-from slammot_graph.loop_closure.known_places import MIN_VISITS, N_RECENT, KnownPlaces
+from slammot_graph.loop_closure.known_places import N_RECENT, KnownPlaces
 from slammot_graph.loop_closure.submap import Place
 
 N_OF_LAP = 12
+MIN_VISITS = 6
 STEP = np.array([1.0, 0.0, 2.0 * np.pi / N_OF_LAP])
 STD = np.array([0.02, 0.02, 0.01])
 INFORMATION = np.diag(STD**-2.0)
@@ -61,6 +65,14 @@ class Lapping:
         self.graph.update()
         if self.cuts:
             self.known.settle(node, self.accepted)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_visits() -> Iterator[None]:
+    """Fewer than usual: the graph that stays tied takes long to solve."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(known_places, "MIN_VISITS", MIN_VISITS)
+        yield
 
 
 @pytest.fixture(scope="module")
