@@ -6,6 +6,7 @@ from pathlib import Path
 from slammot_graph.core.errors import InputError
 from slammot_graph.run import Run
 from slammot_graph.run_folder.checkpoint import CheckpointFile
+from slammot_graph.run_folder.directory import clear_later_results
 from slammot_graph.run_folder.g2o import write_graph
 from slammot_graph.run_folder.summary import write_summary
 from slammot_graph.run_folder.tum import write_trajectory
@@ -68,6 +69,7 @@ class Checkpoints:
 
     def _write_partial_run(self) -> None:
         partial = self._run.trajectory()
+        clear_later_results(self._folder)
         write_trajectory(self._folder / "trajectory.tum", partial.stamps, partial.T_map_base)
         write_summary(self._folder / "summary.json", partial)
         if len(partial.nodes):

@@ -11,6 +11,7 @@ from slammot_graph.core.frozen_state import FrozenRun
 from slammot_graph.run import Run
 from slammot_graph.run_folder.checkpoint import CHECKPOINT_FILE, CheckpointFile
 from slammot_graph.run_folder.reader import read_run_folder
+from slammot_graph.run_folder.writer import write_run_folder
 from tests.rooms import drive
 
 
@@ -38,6 +39,18 @@ def test_the_folder_holds_a_partial_run(tmp_path: Path) -> None:
             assert (tmp_path / "graph.g2o").exists()
     # being written has changed nothing
     np.testing.assert_array_equal(run.result().T_map_base, Run(log).complete().T_map_base)
+
+
+def test_results_of_more_scans_give_way(tmp_path: Path) -> None:
+    """As after a run that was killed while its end was written, and that goes on from its last checkpoint."""
+    log = drive(12)
+    write_run_folder(tmp_path, Run(log).complete())
+    run = Run(log)
+    next(iter(run))
+    Checkpoints(run, CheckpointFile(tmp_path), tmp_path, every_s=60.0).write()
+    folder = read_run_folder(tmp_path)
+    assert len(folder.stamps) == 1
+    assert folder.points is None
 
 
 def test_they_take_a_small_share_of_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,9 @@ no ``run.rrd``. Of a run that went on there may be earlier parts of the recordin
 ALL_FILES = (*RUN_FILES, "closures.csv")
 """With those of a merged map."""
 
+PARTIAL_FILES = ("trajectory.tum", "summary.json", "graph.g2o")
+"""What a checkpoint writes of the results."""
+
 _OWN_FILES = (*ALL_FILES, CHECKPOINT_FILE, SCANS_FILE)
 """And what a run leaves there that has not ended."""
 
@@ -84,6 +87,20 @@ def prepare_output(output: str | Path, *, overwrite: bool) -> None:
             temporary_path(output / name).unlink(missing_ok=True)
         for path in recording_parts(output):
             path.unlink()
+
+
+def clear_later_results(output: Path) -> None:
+    """Remove what a partial run does not have: of more scans, as an interrupted run leaves it whose end was written.
+
+    Raises
+    ------
+    InputError
+        A file cannot be removed.
+    """
+    with write_errors(output, "remove it yourself, or name another --output"):
+        for name in RUN_FILES:
+            if name not in PARTIAL_FILES and name != "run.rrd":
+                (output / name).unlink(missing_ok=True)
 
 
 def recording_parts(output: Path) -> list[Path]:
