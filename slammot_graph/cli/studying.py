@@ -100,7 +100,12 @@ def study_command(
             " tries them again",
             soft_wrap=True,
         )
-    if sum(progress.done.values()):
+    if which is not None:
+        stdout().print(
+            f"part {part}: {folder / 'cells'}; all parts together: the same command without --part",
+            soft_wrap=True,
+        )
+    elif sum(progress.done.values()):
         page = write_report(folder)
         stdout().print(f"results: {folder / 'results.csv'}\nreport: {page}", soft_wrap=True)
     return EXIT_SOME_FAILED if errors else EXIT_OK

@@ -110,9 +110,8 @@ def _of_scenario(
     spec: ScenarioSpec, variants: list[_Variant], seeds: tuple[int, ...], source: str
 ) -> list[Planned]:
     try:
-        scenario_named(spec.name)
-        if spec.laser is not None:
-            laser_named(spec.laser)
+        scenario = scenario_named(spec.name)
+        laser_named(spec.laser or scenario.laser).at_rate(spec.rate_hz or scenario.rate_hz)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from None
     options = {
