@@ -1,5 +1,6 @@
 """What a cell of a study computes: one method over one log, scored by all that the log knows the truth of."""
 
+import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -37,31 +38,30 @@ RPE_DELTA_M = 1.0
 TRACK_POSE = slice(0, 9)
 
 
-def config_of(plain: Mapping[str, Any]) -> Config:
-    """Turn what `plain_config` gave back into a configuration."""
-    values = dict(plain)
+@lru_cache(maxsize=64)
+def config_of(text: str) -> Config:
+    """Turn what `config_text` gave back into a configuration."""
+    values = json.loads(text)
     kind = values.pop("kind")
     if kind == KissIcpConfig.__name__:
         return from_plain(values, KissIcpConfig())
     return from_plain(values, PipelineConfig())
 
 
-def plain_config(config: Config) -> dict[str, Any]:
-    """Plain values of a configuration, with its kind."""
-    return {"kind": type(config).__name__, **to_plain(config)}
+def config_text(config: Config) -> str:
+    """Strict JSON of a configuration, with its kind; the same settings give the same text."""
+    return json.dumps({"kind": type(config).__name__, **to_plain(config)}, sort_keys=True, allow_nan=False)
 
 
-def simulated_cell(
-    scenario: str, seed: int, config: Mapping[str, Any], options: Mapping[str, Any]
-) -> dict[str, Any]:
+def simulated_cell(scenario: str, seed: int, config: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """Run a configuration over a simulated log, and score everything.
 
     Parameters
     ----------
     scenario : str
     seed : int
-    config : mapping
-        From `plain_config`.
+    config : str
+        From `config_text`.
     options : mapping
         Of `simulate`: `n_people`, `noise_scale`, `rate_hz`, `n_laps`, `laser`, `sweep`.
     """
@@ -73,7 +73,7 @@ def simulated_cell(
 
 def recorded_cell(  # noqa: PLR0913  # what is known of a log, each with a default
     log: str,
-    config: Mapping[str, Any],
+    config: str,
     *,
     seed: int | None = None,
     people: int = 0,
@@ -89,8 +89,8 @@ def recorded_cell(  # noqa: PLR0913  # what is known of a log, each with a defau
     ----------
     log, trajectory, relations, truth : str
         Paths: of the log, of the poses that people are put in at, of true relations, of true poses.
-    config : mapping
-        From `plain_config`.
+    config : str
+        From `config_text`.
     seed, people : int
         Of the people who are put in.
     odometry : bool

@@ -13,7 +13,7 @@ from slammot_graph.simulation.scenarios import scenario_named
 from slammot_graph.study.cells import Cell
 from slammot_graph.study.code_version import version_of
 from slammot_graph.study.data_files import data_file
-from slammot_graph.study.measures import plain_config
+from slammot_graph.study.measures import config_text
 from slammot_graph.study.study_file import LogSpec, ScenarioSpec, Seeds, Study
 
 SIMULATED = "slammot_graph.study.measures:simulated_cell"
@@ -43,7 +43,7 @@ class Planned:
 class _Variant:
     method: str
     override: str
-    config: Mapping[str, Any]
+    config: str
 
 
 def plan(study: Study, folder: Path, *, source: str = "study") -> list[Planned]:
@@ -89,12 +89,12 @@ def _variants(study: Study, source: str) -> list[_Variant]:
             raise ConfigError(f"{source}: {error}") from None
         if name in own:
             config = _laid_over(own[name].config, config, f"{source}: method {name}")
-        found.append(_Variant(method=name, override="", config=plain_config(config)))
+        found.append(_Variant(method=name, override="", config=config_text(config)))
         for override in study.override:
             if not override.methods or name in override.methods:
                 place = f"{source}: override {override.name} of {name}"
                 changed = _laid_over(override.config, config, place)
-                found.append(_Variant(method=name, override=override.name, config=plain_config(changed)))
+                found.append(_Variant(method=name, override=override.name, config=config_text(changed)))
     return found
 
 

@@ -111,8 +111,8 @@ def test_the_product_of_all(tmp_path: Path) -> None:
         *(("a.log", *variant, None) for variant in variants),
     }
     by_label = {(row.world, row.method, row.override, row.seed): row.cell for row in rows}
-    assert by_label["one-walker", "mine", "near", 3].arguments["config"]["max_range_m"] == 10.0
-    assert by_label["one-walker", "mine", "", 3].arguments["config"]["max_range_m"] == 20.0
+    assert by_label["one-walker", "mine", "near", 3].arguments["config"].count('"max_range_m": 10.0') == 1
+    assert by_label["one-walker", "mine", "", 3].arguments["config"].count('"max_range_m": 20.0') == 1
     # the same settings by another name are the same cell
     assert (
         by_label["one-walker", "graph", "near", 3].digest == by_label["one-walker", "mine", "near", 3].digest
