@@ -19,7 +19,7 @@ from slammot_graph.evaluation import evaluate_relations, read_relations
 METHODS = ("graph", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")
 WALKERS = range(1, 7)
 """Ids of the labelled persons who walk; the others stand."""
-LOGS = {
+LOGS: dict[str, tuple[str, str | None, str | None]] = {
     "intel": ("freiburg/intel.clf.bz2", "freiburg/intel.relations", None),
     "aces": ("freiburg/aces.clf.bz2", "freiburg/aces.relations", None),
     "fr-clinic": ("freiburg/fr-clinic_robotlaser.clf.bz2", None, None),
@@ -117,7 +117,7 @@ def experiment(options: Options) -> None:
     cells = {
         f"{name} {method}": {
             "log": str(folder / LOGS[name][0]),
-            "relations": str(folder / LOGS[name][1]) if LOGS[name][1] else None,
+            "relations": None if LOGS[name][1] is None else str(folder / str(LOGS[name][1])),
             "odom_topic": LOGS[name][2],
             "method": method,
             "has_persons": (name, method) == ("wheelchair", "graph"),

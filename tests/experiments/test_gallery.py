@@ -39,7 +39,8 @@ def version_of_table(table: Path) -> str | None:
     source = git("show", f"{revision}:slammot_graph/__init__.py")
     if source is None:
         return None
-    return re.findall(r'__version__ = "([^"]+)"', source)[0]
+    version: str = re.findall(r'__version__ = "([^"]+)"', source)[0]
+    return version
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda path: path.stem)
@@ -149,6 +150,6 @@ def test_tables_are_remade_in_turn(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
         return subprocess.CompletedProcess(command, 130 if "sweep" in command[2] and len(ran) > 1 else 0)
 
     monkeypatch.setattr(gallery, "TABLES", tmp_path)
-    monkeypatch.setattr(gallery.subprocess, "run", run)
+    monkeypatch.setattr(subprocess, "run", run)
     assert gallery.main(["reliability", "sweep", "speed", "--", "--quick"]) == 130  # Ctrl-C in the second one
     assert ran == [["experiments.reliability", "--seeds", "4", "--quick"], ["experiments.sweep", "--quick"]]
