@@ -63,7 +63,8 @@ def test_both_hold_the_package_and_nothing_else(distributions: Path) -> None:
     (wheel,), (source,) = distributions.glob("*.whl"), distributions.glob("*.tar.gz")
     assert f"-{__version__}-py3-none-any" in wheel.name
     sources = {path.relative_to(ROOT).as_posix() for path in (ROOT / "slammot_graph").rglob("*.py")}
-    sources |= {"slammot_graph/py.typed", "slammot_graph/study/builtin/paper.toml"}
+    sources |= {path.relative_to(ROOT).as_posix() for path in (ROOT / "slammot_graph").rglob("*.toml")}
+    sources |= {"slammot_graph/py.typed"}
     in_wheel = set(zipfile.ZipFile(wheel).namelist())
     assert {name for name in in_wheel if ".dist-info/" not in name} == sources
     with tarfile.open(source) as archive:

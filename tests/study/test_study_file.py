@@ -94,6 +94,10 @@ def test_studies_of_the_package_can_be_planned(path: Path) -> None:
     assert len({row.cell.key for row in rows}) == len(rows)
 
 
+def test_the_ablation_has_every_method() -> None:
+    assert set(read_study(Path("ablation")).methods) == set(METHODS)
+
+
 def test_the_product_of_all(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("", encoding="utf-8")
     study = read(
