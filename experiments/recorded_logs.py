@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from experiments.common import Options, Scores, data_folder, main, run_cells
+from experiments.common import Options, Scores, data_folder, main, run_cells, say
 from experiments.tables import Table, number, write_tables
 from slammot_graph import Run, open_log
 from slammot_graph.core import se2
-from slammot_graph.core.errors import InputError
+from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.results import RunResult
 from slammot_graph.evaluation import evaluate_relations, read_relations
+from slammot_graph.study.measures import completed
 
 METHODS = ("graph", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")
 WALKERS = range(1, 7)
@@ -47,11 +48,17 @@ QUICK_LOGS, QUICK_METHODS = ("overtakes",), ("graph", "icp")
 def cell(log: str, relations: str | None, odom_topic: str | None, method: str, has_persons: bool) -> Scores:
     """Run a method over a log."""
     start = time.process_time()
-    result = Run(open_log(Path(log), odom_topic=odom_topic), method).complete()
+    run = Run(open_log(Path(log), odom_topic=odom_topic), method)
+    try:
+        result = completed(run)
+    except SlammotError as error:  # such as a map that leaps out of memory
+        result = run.result()
+        say(f"{log}, {method}: ended after {len(result.stamps)} scans: {error}")
     cpu_s = time.process_time() - start
     step = result.stage_ms["step"]
     scores: Scores = {
         "n_scans": len(result.stamps),
+        "is_complete": run.is_complete,
         "n_failed": result.n_failed_matches,
         "n_closures": sum(edge.kind == "closure" for edge in result.edges),
         "step_ms": float(np.median(step)),
@@ -150,7 +157,7 @@ def _figures(scores: Scores) -> list[str]:
             number(scores["all_deg"]),
         ]
     return [
-        str(scores["n_scans"]),
+        str(scores["n_scans"]) if scores["is_complete"] else f"{scores['n_scans']}, then ended",
         *relations,
         str(scores["n_failed"]),
         str(scores["n_closures"]),

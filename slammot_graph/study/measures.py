@@ -11,7 +11,7 @@ import numpy as np
 from slammot_graph.baselines.kiss_icp import KissIcpConfig
 from slammot_graph.core import se2
 from slammot_graph.core.config import from_plain, to_plain
-from slammot_graph.core.errors import InputError
+from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.results import GridMap, RunResult
 from slammot_graph.core.stamps import have_same_times
 from slammot_graph.core.types import FloatArray
@@ -67,7 +67,7 @@ def simulated_cell(scenario: str, seed: int, config: str, options: Mapping[str, 
     """
     key = (scenario, seed, tuple(sorted(options.items())))
     log = _simulated(key)
-    result = Run(log, config=config_of(config)).complete()
+    result = completed(Run(log, config=config_of(config)))
     return {**made_scores(result, log), **map_scores(result, log, _without_people(key)), **counts(result)}
 
 
@@ -100,14 +100,13 @@ def recorded_cell(  # noqa: PLR0913  # what is known of a log, each with a defau
         if trajectory is None or seed is None:
             raise InputError(f"{log}: people are put in at the poses of a trajectory, with a seed")
         made = _injected(log, odometry, people, seed, max_scans, trajectory)
-        result = Run(made, config=config_of(config)).complete()
+        result = completed(Run(made, config=config_of(config)))
         scores = {
             name: value for name, value in made_scores(result, made).items() if name[:3] not in ("ate", "rpe")
         }
     else:
-        result = Run(
-            open_log(log, odometry=odometry), config=config_of(config), max_scans=max_scans
-        ).complete()
+        reader = open_log(log, odometry=odometry)
+        result = completed(Run(reader, config=config_of(config), max_scans=max_scans))
         scores = {}
     if relations is not None:
         of = evaluate_relations(result.stamps, result.T_map_base, read_relations(relations))
@@ -122,6 +121,22 @@ def recorded_cell(  # noqa: PLR0913  # what is known of a log, each with a defau
         error = evaluate_truth(result.stamps, result.T_map_base, stamps, poses).error
         scores |= {"ate_m": error.translation_m.rmse, "ate_deg": error.rotation_deg.rmse}
     return {**scores, **counts(result)}
+
+
+def completed(run: Run) -> RunResult:
+    """Run to the end; what cannot be computed there, such as a map too large for one picture, fails no cell.
+
+    Raises
+    ------
+    SlammotError
+        The run ended before the log did.
+    """
+    try:
+        return run.complete()
+    except SlammotError:
+        if not run.is_complete:
+            raise
+        return run.result()
 
 
 def made_scores(result: RunResult, log: SimulatedLog) -> dict[str, Any]:

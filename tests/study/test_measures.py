@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from slammot_graph.core.errors import InputError
+from slammot_graph.core.errors import InputError, SlammotError
+from slammot_graph.core.results import RunResult
 from slammot_graph.evaluation import absolute_error, evaluate_points
 from slammot_graph.methods import METHODS
 from slammot_graph.run import Run
 from slammot_graph.run_folder.tum import write_trajectory
 from slammot_graph.simulation import simulate
-from slammot_graph.study.measures import config_of, config_text, recorded_cell, simulated_cell
+from slammot_graph.study.measures import completed, config_of, config_text, recorded_cell, simulated_cell
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -47,3 +48,17 @@ def test_a_recorded_cell_is_judged_by_what_is_known(tmp_path: Path) -> None:
     assert not math.isnan(people["recall"])
     with pytest.raises(InputError, match="at the poses of a trajectory"):
         recorded_cell(path, config, people=2)
+
+
+def test_a_map_that_fails_at_the_end_fails_no_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Fails(Run):
+        def complete(self) -> RunResult:
+            super().complete()
+            raise SlammotError("no map")
+
+    log = simulate("one-walker", seed=1, rate_hz=5.0, n_people=0)
+    assert len(completed(Fails(log, "odometry")).stamps) == log.n_scans
+    run = Fails(log, "odometry")
+    monkeypatch.setattr(Fails, "is_complete", False)
+    with pytest.raises(SlammotError, match="no map"):
+        completed(run)

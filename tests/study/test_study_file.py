@@ -79,7 +79,7 @@ def test_a_word_that_is_no_file_is_a_study_of_the_package() -> None:
     paper = read_study(Path("paper"))
     assert {"icp", "docpfo", "graph"} <= set(paper.methods)
     with pytest.raises(
-        ConfigError, match=r"pap: neither a file nor a study that comes with the package \(paper"
+        ConfigError, match=r"pap: neither a file nor a study that comes with the package \(ablation, paper"
     ):
         read_study(Path("pap"))
 
