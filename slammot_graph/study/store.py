@@ -41,6 +41,7 @@ class CellStore:
         self._pattern = "*.jsonl" if everybody else self.path.name
         self.remarks: list[str] = []
         self._file: IO[str] | None = None
+        self._failed: IO[str] | None = None
         self._synced = 0.0
 
     def records(self) -> dict[str, dict[str, Any]]:
@@ -88,12 +89,18 @@ class CellStore:
                     f"{self.path}: another process is writing these results; wait for it"
                 ) from None
             self._cut_half_line()
-            with self.path.open("a", encoding="utf-8") as self._file:
+            failed = self.path.with_suffix(".failed")
+            with (
+                self.path.open("a", encoding="utf-8") as self._file,
+                failed.open("w", encoding="utf-8") as self._failed,
+            ):
                 try:
                     yield
                 finally:
                     os.fsync(self._file.fileno())
-            self._file = None
+            self._file = self._failed = None
+            if not failed.stat().st_size:
+                failed.unlink()
 
     def write(self, outcome: Outcome) -> Scores:
         """Keep a finished cell; returns its scores as a later reading gives them."""
@@ -114,6 +121,24 @@ class CellStore:
             self._synced = time.monotonic()
         scores: Scores = _with_nan(json.loads(text)["scores"])
         return scores
+
+    def write_error(self, outcome: Outcome) -> None:
+        """Keep why a cell failed, until this file is written the next time."""
+        assert self._failed is not None
+        self._failed.write(json.dumps({"cell": outcome.cell.digest, "error": outcome.error}) + "\n")
+        self._failed.flush()
+
+    def errors(self) -> dict[str, str]:
+        """Errors of the cells that failed when each file was written last, by digest."""
+        found = {}
+        for path in sorted(self.folder.glob(Path(self._pattern).with_suffix(".failed").name)):
+            for line in path.read_text(encoding="utf-8").splitlines():
+                try:
+                    record = json.loads(line)
+                    found[str(record["cell"])] = str(record["error"])
+                except (ValueError, KeyError, TypeError):
+                    continue  # half a line of another process
+        return found
 
     def forget(self, cells: Iterable[Cell]) -> None:
         """Leave cells out of all files of the folder, to compute them anew; only while it is being written."""

@@ -110,6 +110,7 @@ def finish_cells(
                 progress.add(outcome)
                 if outcome.scores is None:
                     errors[outcome.cell.digest] = outcome.error
+                    store.write_error(outcome)
                 else:
                     scores = store.write(outcome)
                     records[outcome.cell.digest] = {
@@ -163,7 +164,8 @@ def run_study(
         )
     finally:  # what there is, also after Ctrl-C
         if (folder / "cells").is_dir():
-            records = CellStore(folder / "cells").records()
-            failed = locals().get("errors", {})
+            everything = CellStore(folder / "cells")
+            records = everything.records()
+            failed = {cell: error for cell, error in everything.errors().items() if cell not in records}
             write_results(folder, rows, records, failed, origin)
     return {row.cell.key: errors[row.cell.digest] for row in mine if row.cell.digest in errors}

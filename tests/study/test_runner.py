@@ -176,7 +176,10 @@ def test_failed_cells_are_told_and_tried_again(tmp_path: Path) -> None:
         assert list(errors) == [cells[1].digest]
         assert "-1 is negative" in errors[cells[1].digest]
         assert len(calls(tmp_path)) == n_calls
+        assert CellStore(tmp_path / "cells").errors() == errors
     assert cells[0].digest in records
+    finish_cells(cells[::2], CellStore(tmp_path / "cells"), Here)
+    assert CellStore(tmp_path / "cells").errors() == {}
 
 
 def test_parts_write_files_of_their_own_and_read_all(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -85,6 +86,26 @@ def test_a_study_that_is_killed_goes_on(tiny: Path, tmp_path: Path, environment:
     assert cells.read_bytes().count(b"\n") == 12
     assert run(tiny, tmp_path / "other", "--jobs", "1") == 0
     assert same(output, tmp_path / "other")
+
+
+def test_an_interrupted_study_writes_what_there_is(
+    tiny: Path, tmp_path: Path, environment: dict[str, str]
+) -> None:
+    output = tmp_path / "out"
+    tiny.write_text(tiny.read_text(encoding="utf-8").replace("seeds = 3", "seeds = 50"), encoding="utf-8")
+    words = ["-m", "slammot_graph", "study", str(tiny), "--output", str(output), "--jobs", "2"]
+    process = subprocess.Popen(
+        [sys.executable, *words], env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    cells = output / "cells" / "cells.jsonl"
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline and not (cells.exists() and cells.read_bytes().count(b"\n") >= 2):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=60.0)
+    assert process.returncode == 130, told
+    assert told.splitlines()[-1] == "interrupted"
+    assert len(rows_of(output / "results.csv")) == cells.read_bytes().count(b"\n") >= 2
 
 
 def test_a_failed_cell_is_told_and_stops_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
