@@ -3,6 +3,7 @@
 import base64
 import html
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -130,16 +131,9 @@ def _drawn(results: Results, measure: str, folder: Path) -> Path:
         panel.set_visible(False)
     axes.flat[0].invert_yaxis()
     heading = HEADINGS.get(measure, (measure, 3))[0]
-    figure.supxlabel(heading, fontsize=9)
-    origin = results.origin
-    figure.text(
-        0.995,
-        0.002,
-        f"{origin.get('command', '')}, revision {origin.get('revision', '')}",
-        fontsize=5,
-        ha="right",
-        color="0.5",
-    )
+    origin = f"{results.origin.get('command', '')}, revision {results.origin.get('revision', '')}"
+    made_by = textwrap.fill(origin, int(22 * figure.get_size_inches()[0])).replace("$", r"\$")
+    figure.supxlabel(f"{heading}\n{made_by}", fontsize=7)
     path = folder / f"{measure}.png"
     with replaced(path) as temporary:
         figure.savefig(temporary, dpi=130, format="png")
