@@ -132,7 +132,7 @@ def _drawn(results: Results, measure: str, folder: Path) -> Path:
     axes.flat[0].invert_yaxis()
     heading = HEADINGS.get(measure, (measure, 3))[0]
     origin = f"{results.origin.get('command', '')}, revision {results.origin.get('revision', '')}"
-    made_by = textwrap.fill(origin, int(22 * figure.get_size_inches()[0])).replace("$", r"\$")
+    made_by = textwrap.fill(origin, int(16 * figure.get_size_inches()[0])).replace("$", r"\$")
     figure.supxlabel(f"{heading}\n{made_by}", fontsize=7)
     path = folder / f"{measure}.png"
     with replaced(path) as temporary:
