@@ -194,7 +194,7 @@ def read_study(path: Path) -> Study:
 
 def study_path(path: Path) -> Path:
     """Where the file is that a command line names."""
-    if path.suffix or path.exists():
+    if path.suffix or path.is_file():
         return path
     built_in = BUILT_IN / f"{path}.toml"
     if len(path.parts) == 1 and built_in.is_file():

@@ -75,7 +75,11 @@ def test_a_mistake_in_the_plan_is_one_line(text: str, told: str, tmp_path: Path)
     assert "\n" not in str(error.value)
 
 
-def test_a_word_that_is_no_file_is_a_study_of_the_package() -> None:
+def test_a_word_that_is_no_file_is_a_study_of_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("paper").mkdir()  # a folder of that name is no study
     paper = read_study(Path("paper"))
     assert {"icp", "docpfo", "graph"} <= set(paper.methods)
     with pytest.raises(
