@@ -7,7 +7,7 @@ DOCS_READY := $(VENV)/.ready-docs
 # lines of the package that the tests run, in percent; numba's kernels are not counted
 COVERAGE := 96
 
-.PHONY: demo test fuzz bench docs format clean clean-kernels
+.PHONY: demo test fuzz bench tables docs format clean clean-kernels
 
 demo: $(READY)
 	$(BIN)/slammot-graph demo --output runs/demo
@@ -24,6 +24,10 @@ fuzz: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m experiments.speed --gate
+
+# all tables that are not of today's code, hours; goes on where it was ended. Pieces: make tables ONLY="sweep ladder"
+tables: $(READY)
+	$(BIN)/python -m experiments.gallery $(ONLY)
 
 docs: $(DOCS_READY)
 	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs

@@ -1,6 +1,14 @@
 """Sphinx: the API reference from the docstrings; ``make docs`` builds it."""
 
+import re
+import shutil
+import sys
+from pathlib import Path
+
 from slammot_graph import __version__
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS.parent))
 
 project = "slammot_graph"
 author = "The slammot_graph developers"
@@ -39,3 +47,30 @@ numpydoc_show_class_members = False  # autodoc lists them
 
 html_title = "slammot_graph"
 html_theme_options = {"page_width": "1100px", "description": "2D laser SLAM among moving people"}
+
+
+def write_gallery() -> None:
+    """A page for each experiment, with its picture, command and table, and one that lists them."""
+    from experiments.gallery import ENTRIES
+
+    folder = DOCS / "gallery"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    rows = []
+    for entry in ENTRIES:
+        page = [f"# {entry.what}", "", f"`{entry.command}`", ""]
+        if entry.figure is not None:
+            page += [f"```{{image}} ../../experiments/figures/{entry.figure}.png", ":width: 100%", "```", ""]
+        if entry.table.is_file():
+            text = entry.table.read_text(encoding="utf-8").partition("\n")[2]
+            page.append(re.sub(r"figures/(\w+\.png)", r"experiments/figures/\1", text))
+        (folder / f"{entry.name}.md").write_text("\n".join(page) + "\n", encoding="utf-8")
+        picture = f"![](../../experiments/figures/{entry.figure}.png)" if entry.figure else ""
+        rows.append(f"| [{entry.what}]({entry.name}.md) | `{entry.command}` | {picture} |")
+    head = ["# Experiments", "", "Each with its command, picture and table; all by `make tables`.", ""]
+    head += ["| experiment | command | |", "|---|---|---|"]
+    toc = ["", "```{toctree}", ":hidden:", "", *(entry.name for entry in ENTRIES), "```", ""]
+    (folder / "index.md").write_text("\n".join([*head, *rows, *toc]), encoding="utf-8")
+
+
+write_gallery()

@@ -1,28 +1,40 @@
 """What all experiments share: options, and sweeps that run in parallel and can be resumed."""
 
-import fcntl
-import hashlib
-import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 
 from slammot_graph.core.errors import InputError, SlammotError
+from slammot_graph.study.cells import Cell, Outcome, Scores
+from slammot_graph.study.code_version import package_version, version_of
+from slammot_graph.study.data_files import data_file
+from slammot_graph.study.processes import local_workers
+from slammot_graph.study.store import CellStore
+from slammot_graph.study.study_run import Progress, finish_cells
 
 ROOT = Path(__file__).resolve().parents[1]
-Cell = Mapping[str, Any]
-Scores = dict[str, Any]
+Arguments = Mapping[str, Any]
+__all__ = [
+    "ROOT",
+    "Arguments",
+    "Options",
+    "Scores",
+    "code_state",
+    "data_folder",
+    "main",
+    "run_cells",
+    "say",
+    "version_of",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,9 +123,12 @@ def say(text: str) -> None:
 
 
 def run_cells(
-    name: str, function: Callable[..., Scores], cells: Mapping[str, Cell], options: Options
+    name: str, function: Callable[..., Scores], cells: Mapping[str, Arguments], options: Options
 ) -> dict[str, Scores]:
     """Compute the cells of a sweep that are not in its results yet, and return the scores of all.
+
+    The loop, its processes and its store are those of `slammot-graph study`: a cell is addressed by its function, its
+    arguments, the content of the files among them, and the version of the code that it runs.
 
     Parameters
     ----------
@@ -122,7 +137,7 @@ def run_cells(
     function : module-level function
         Takes a cell's arguments by name, returns scores that JSON can hold (NaN included).
     cells : mapping of key to arguments
-        The key names everything that the scores depend on, but for the code.
+        The key is for people.
     options : Options
 
     Raises
@@ -130,105 +145,57 @@ def run_cells(
     InputError
         Another process writes the same results, or a cell failed; the others are kept.
     """
-    path = options.folder("results") / f"{name}.jsonl"
-    code = code_state()
-    failed: list[str] = []
-    with _locked(path), _progress(name, len(cells)) as advance:
-        if options.fresh:
-            path.unlink(missing_ok=True)
-        finished = _read(path)
-        done = {key: finished[key]["scores"] for key in cells if key in finished}
-        strangers = sum(finished[key].get("code") != code for key in done)
-        if strangers:
-            say(
-                f"{name}: {strangers} of {len(done)} finished cells are of other code; --fresh computes them anew"
-            )
-        advance(len(done))
-        todo = {key: cell for key, cell in cells.items() if key not in done}
-        with path.open("a", encoding="utf-8") as file:
-            for key, outcome in _computed(function, todo, options.jobs):
-                advance(1)
-                if isinstance(outcome, Exception):
-                    say(f"{name}: cell {key} failed: {type(outcome).__name__}: {outcome}")
-                    failed.append(key)
-                    continue
-                done[key] = outcome
-                line = {"key": key, "code": code, "scores": _strict(outcome)}
-                file.write(json.dumps(line, allow_nan=False) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-    if failed:
-        raise InputError(f"{name}: {len(failed)} of {len(cells)} cells failed, the others are kept in {path}")
-    return {key: done[key] for key in cells}
+    place = f"{function.__module__}:{function.__qualname__}"
+    code = version_of(place)
+    planned = {key: _cell(key, place, code, arguments) for key, arguments in cells.items()}
+    store = CellStore(options.folder("results"), name, everybody=False)
+    progress = Progress()
+    with _bar(name, progress) as told:
+        records, errors = finish_cells(
+            list(planned.values()),
+            store,
+            lambda: local_workers(options.jobs if len(cells) > 1 else 1),
+            progress=progress,
+            told=told,
+            fresh=options.fresh,
+        )
+    for remark in store.remarks:
+        say(remark)
+    for key, cell in planned.items():
+        if cell.digest in errors:
+            say(f"{name}: cell {key} failed: {errors[cell.digest]}")
+    if errors:
+        raise InputError(
+            f"{name}: {len(errors)} of {len(cells)} cells failed, the others are kept in {store.path}"
+        )
+    return {key: records[cell.digest]["scores"] for key, cell in planned.items()}
+
+
+def _cell(key: str, function: str, code: str, arguments: Arguments) -> Cell:
+    """Arguments that are paths of files count by the content of these."""
+    files = {
+        name: data_file(Path(value))
+        for name, value in arguments.items()
+        if isinstance(value, str) and os.sep in value and Path(value).is_file()
+    }
+    plain = {name: value for name, value in arguments.items() if name not in files}
+    return Cell(
+        key=key,
+        function=function,
+        code=code,
+        arguments=plain,
+        files=files,
+        kind=key.rsplit(" ", maxsplit=1)[-1],
+    )
 
 
 def code_state() -> str:
-    """A fingerprint of the package's source: results of one table should have one."""
-    digest = hashlib.sha1(usedforsecurity=False)
-    for path in sorted((ROOT / "slammot_graph").rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:10]
-
-
-def _computed(
-    function: Callable[..., Scores], cells: Mapping[str, Cell], jobs: int
-) -> Iterator[tuple[str, Scores | Exception]]:
-    """Scores of the cells, or what went wrong, in the order in which they finish."""
-    if jobs == 1 or len(cells) < 2:
-        for key, cell in cells.items():
-            try:
-                yield key, function(**cell)
-            except Exception as err:  # the other cells go on; run_cells reports it
-                yield key, err
-        return
-    executor = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-    futures: dict[Future[Scores], str] = {}
-    try:
-        for key, cell in cells.items():
-            futures[executor.submit(function, **cell)] = key
-        for future in as_completed(futures):
-            error = future.exception()
-            if error is not None and not isinstance(error, Exception):
-                raise error
-            yield futures[future], error or future.result()
-    finally:
-        executor.shutdown(cancel_futures=True)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Finished cells; a half-written last line is cut off and reported."""
-    if not path.exists():
-        return {}
-    content = path.read_bytes()
-    end = content.rfind(b"\n") + 1
-    if end < len(content):
-        say(f"{path}: the last line is half written; its cell is computed again")
-        with path.open("r+b") as file:
-            file.truncate(end)
-    finished: dict[str, Any] = {}
-    for number, line in enumerate(content[:end].splitlines(), start=1):
-        try:
-            record = json.loads(line)
-            record["scores"] = _with_nan(record["scores"])
-            finished[record["key"]] = record
-        except (ValueError, KeyError, TypeError, AttributeError):
-            say(f"{path}, line {number}: not a finished cell; it is computed again")
-    return finished
+    """Version of the package's code: results of one table should have one."""
+    return package_version()[:16]
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Keep other processes from writing the same results."""
-    with path.with_suffix(".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{path}: another process is writing these results; wait for it") from None
-        yield
-
-
-@contextmanager
-def _progress(name: str, n_cells: int) -> Iterator[Callable[[int], None]]:
+def _bar(name: str, progress: Progress) -> Iterator[Callable[[Outcome | None], None]]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -236,24 +203,11 @@ def _progress(name: str, n_cells: int) -> Iterator[Callable[[int], None]]:
         TextColumn("cells"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(name, total=n_cells)
-        yield lambda n: bar.advance(task, n)
+    with Bar(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(name, total=None)
 
+        def told(_: Outcome | None) -> None:
+            n_done = sum(progress.done.values()) + sum(progress.failed.values())
+            bar.update(task, total=progress.n_cells, completed=n_done)
 
-def _strict(value: Any) -> Any:
-    """Scores for strict JSON: what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def _with_nan(scores: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: _with_nan(value) if isinstance(value, dict) else math.nan if value is None else value
-        for key, value in scores.items()
-    }
+        yield told

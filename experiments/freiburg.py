@@ -61,9 +61,6 @@ PUBLISHED: dict[str, tuple[tuple[str, str, str], ...]] = {
 }
 """Published translation [m] and rotation [degrees] errors, by a word in the log's name."""
 
-CODE = code_state()
-"""Of the code that was loaded, which may change on disk while an experiment runs."""
-
 AfterConsider = Callable[[LoopCloser, Submap], tuple[ClosureAttempt, ...]]
 
 
@@ -227,7 +224,7 @@ def write_report(
     output = options.output or ROOT / "experiments" / "tables" / f"{name}.md"
     command = f"python -m experiments.{name}{' --quick' if options.quick else ''}{more}"
     origin = provenance(name, Options(quick=options.quick, jobs=1))[1:]
-    head = [f"# {title}", "", *notes, "", f"- Command: `{command}`", *origin, f"- Code: {CODE}", ""]
+    head = [f"# {title}", "", *notes, "", f"- Command: `{command}`", *origin, ""]
     output.parent.mkdir(parents=True, exist_ok=True)
     text = "\n".join(head) + "\n" + "\n\n".join(table.markdown() for table in tables) + "\n"
     output.write_text(text, encoding="utf-8")
@@ -238,6 +235,7 @@ def command_line(
     experiment: Callable[[Any], None], options: type[LoopOptions], argv: list[str] | None
 ) -> int:
     """Run an experiment from the command line; mistakes become one line and exit code 2."""
+    code_state()  # of the code that is loaded now, which may change on disk while the experiment runs
     try:
         experiment(
             tyro.cli(

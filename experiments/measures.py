@@ -8,17 +8,29 @@ import numpy as np
 from experiments.common import Scores
 from slammot_graph import Run
 from slammot_graph.core import se2
-from slammot_graph.core.results import GridMap, RunResult
+from slammot_graph.core.results import RunResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.evaluation import (
     TrackPoints,
     absolute_error,
-    evaluate_map,
     evaluate_points,
     evaluate_tracks,
 )
-from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.simulation import Scenario, SimulatedLog, simulate
+from slammot_graph.study.measures import map_scores, true_map
+
+__all__ = [
+    "map_scores",
+    "point_scores",
+    "run_method",
+    "simulated",
+    "step_ms",
+    "trajectory_scores",
+    "true_map",
+    "true_positions",
+    "walker_scores",
+    "without_people",
+]
 
 RPE_DELTA_M = 1.0
 
@@ -93,24 +105,6 @@ def point_scores(is_moving: BoolArray, log: SimulatedLog, is_valid: BoolArray) -
     """Labels against the truth: `iou`, `precision`, `recall`, `static_kept`."""
     points = evaluate_points(is_moving, log.is_moving, is_valid)
     return {name: getattr(points, name) for name in ("iou", "precision", "recall", "static_kept")}
-
-
-def map_scores(result: RunResult, log: SimulatedLog, clean: SimulatedLog) -> Scores:
-    """Compare the final map with the one of the log without people at true poses: `ghosts_per_m2`, `lost_per_m2`."""
-    T_world_map = absolute_error(result.T_map_base, log.T_world_base).T_world_map
-    T_map_base = se2.compose(se2.inverse(T_world_map)[None, :], clean.T_world_base)
-    scores = evaluate_map(result.grid, true_map(clean, T_map_base))
-    return {"ghosts_per_m2": scores.ghosts_per_m2, "lost_per_m2": scores.lost_walls_per_m2}
-
-
-def true_map(log: SimulatedLog, T_map_base: FloatArray) -> GridMap:
-    """Render all scans of a log at given poses."""
-    grid = OccupancyGrid(GridConfig())
-    for scan, T in zip(log, T_map_base, strict=True):
-        is_valid = scan.is_valid(40.0)
-        ends = se2.transform(T, np.vstack([scan.laser.origin_base, scan.points_base()]))
-        grid.update(scan.index, ends[0], ends[1:], is_valid, is_valid)
-    return grid.to_map()
 
 
 def step_ms(result: RunResult) -> float:

@@ -1,29 +1,26 @@
-"""Recorded logs from one end to the other, with the defaults: the table `experiments/tables/recorded_logs.md`.
+"""Recorded logs from one end to the other, with the defaults."""
 
-Run as ``python -m experiments.recorded_logs [--data DIR]``; the logs lie in $SLAMMOT_DATA, else in ../shared/data.
-"""
-
-import os
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from rosbags.highlevel import AnyReader
 
+from experiments.common import Options, Scores, data_folder, main, run_cells, say
+from experiments.tables import Table, number, write_tables
 from slammot_graph import Run, open_log
 from slammot_graph.core import se2
+from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.results import RunResult
 from slammot_graph.evaluation import evaluate_relations, read_relations
+from slammot_graph.study.measures import completed
 
-TABLE = Path(__file__).parent / "tables" / "recorded_logs.md"
 METHODS = ("graph", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")
 WALKERS = range(1, 7)
 """Ids of the labelled persons who walk; the others stand."""
-LOGS = {
+LOGS: dict[str, tuple[str, str | None, str | None]] = {
     "intel": ("freiburg/intel.clf.bz2", "freiburg/intel.relations", None),
     "aces": ("freiburg/aces.clf.bz2", "freiburg/aces.relations", None),
     "fr-clinic": ("freiburg/fr-clinic_robotlaser.clf.bz2", None, None),
@@ -31,7 +28,7 @@ LOGS = {
     "wheelchair, mcap": ("bags/general_tracking_moving_1_mcap", None, None),
     "overtakes": ("bags/overtakes_sqlite3", None, "/ego_pose"),
 }
-HEAD = (
+COLUMNS = (
     "log",
     "method",
     "scans",
@@ -45,32 +42,45 @@ HEAD = (
 )
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """Command line."""
-
-    data: Path = Path(os.environ.get("SLAMMOT_DATA", "../shared/data"))
-    output: Path = TABLE
-    methods: tuple[str, ...] = METHODS
-    logs: tuple[str, ...] = tuple(LOGS)
+QUICK_LOGS, QUICK_METHODS = ("overtakes",), ("graph", "icp")
 
 
-def relation_cells(result: RunResult, relations: Path | None) -> list[str]:
-    """Translation error within 60 s (mean, median) and over all relations; rotation over all."""
-    if relations is None:
-        return ["-", "-", "-"]
-    truth = read_relations(relations)
-    near = evaluate_relations(result.stamps, result.T_map_base, truth, max_duration_s=60.0)
-    every = evaluate_relations(result.stamps, result.T_map_base, truth)
-    return [
-        f"{near.translation_m.mean:.4f} / {near.translation_m.median:.4f}",
-        f"{every.translation_m.mean:.4f} +- {every.translation_m.std:.4f}",
-        f"{every.rotation_deg.mean:.3f}",
-    ]
+def cell(log: str, relations: str | None, odom_topic: str | None, method: str, has_persons: bool) -> Scores:
+    """Run a method over a log."""
+    start = time.process_time()
+    run = Run(open_log(Path(log), odom_topic=odom_topic), method)
+    try:
+        result = completed(run)
+    except SlammotError as error:  # such as a map that leaps out of memory
+        result = run.result()
+        say(f"{log}, {method}: ended after {len(result.stamps)} scans: {error}")
+    cpu_s = time.process_time() - start
+    step = result.stage_ms["step"]
+    scores: Scores = {
+        "n_scans": len(result.stamps),
+        "is_complete": run.is_complete,
+        "n_failed": result.n_failed_matches,
+        "n_closures": sum(edge.kind == "closure" for edge in result.edges),
+        "step_ms": float(np.median(step)),
+        "step_95_ms": float(np.percentile(step, 95)),
+        "cpu_s": cpu_s,
+    }
+    if relations is not None:
+        truth = read_relations(Path(relations))
+        near = evaluate_relations(result.stamps, result.T_map_base, truth, max_duration_s=60.0)
+        every = evaluate_relations(result.stamps, result.T_map_base, truth)
+        scores |= {
+            "near_m": near.translation_m.mean,
+            "near_median_m": near.translation_m.median,
+            "all_m": every.translation_m.mean,
+            "all_std_m": every.translation_m.std,
+            "all_deg": every.rotation_deg.mean,
+        }
+    return scores | (person_scores(Path(log), result) if has_persons else {})
 
 
-def person_shares(bag: Path, result: RunResult) -> str:
-    """Tell how many person labels of the wheelchair bag have a moving point within 0.5 m.
+def person_scores(bag: Path, result: RunResult) -> Scores:
+    """Count the person labels of the wheelchair bag that have a moving point within 0.5 m.
 
     A label belongs to the last scan before it by recording time, and is given in the laser's frame.
     """
@@ -93,49 +103,68 @@ def person_shares(bag: Path, result: RunResult) -> str:
                 near = bool(len(points)) and bool(np.hypot(*(points - person).T).min() < 0.5)
                 found.append((message.id, near))
     walkers = [near for person_id, near in found if person_id in WALKERS]
-    return (
-        f"wheelchair: {sum(near for _, near in found)} of {len(found)} person labels have a moving point within "
-        f"0.5 m; of those of persons who walk, {sum(walkers)} of {len(walkers)}."
-    )
+    return {
+        "persons": len(found),
+        "persons_found": sum(near for _, near in found),
+        "walkers": len(walkers),
+        "walkers_found": sum(walkers),
+    }
 
 
-def main(arguments: Arguments) -> None:
-    """Write the table."""
-    rows, notes = [], []
-    for name in arguments.logs:
-        path, relations, odom_topic = LOGS[name]
-        for method in arguments.methods:
-            start = time.process_time()
-            result = Run(open_log(arguments.data / path, odom_topic=odom_topic), method).complete()
-            cpu_s = time.process_time() - start
-            step = result.stage_ms["step"]
-            rows.append(
-                [
-                    name,
-                    method,
-                    str(len(result.stamps)),
-                    *relation_cells(result, arguments.data / relations if relations else None),
-                    str(result.n_failed_matches),
-                    str(sum(edge.kind == "closure" for edge in result.edges)),
-                    f"{np.median(step):.2f} / {np.percentile(step, 95):.2f}",
-                    f"{cpu_s:.1f}",
-                ]
+def experiment(options: Options) -> None:
+    """Recorded logs from one end to the other, with the defaults."""
+    logs = QUICK_LOGS if options.quick else tuple(LOGS)
+    methods = QUICK_METHODS if options.quick else METHODS
+    folder = data_folder(options.data)
+    for name in logs:
+        if not (folder / LOGS[name][0]).exists():
+            raise InputError(
+                f"{folder / LOGS[name][0]}: no such recorded log; set SLAMMOT_DATA or --data to the folder of them"
             )
-            if name == "wheelchair" and method == "graph":
-                notes.append(person_shares(arguments.data / path, result))
-            print(" | ".join(rows[-1]), file=sys.stderr)
-    lines = [
-        "# Recorded logs",
-        "",
-        "`python -m experiments.recorded_logs` on two shared cores of an AMD EPYC.",
-        "",
+    cells = {
+        f"{name} {method}": {
+            "log": str(folder / LOGS[name][0]),
+            "relations": None if LOGS[name][1] is None else str(folder / str(LOGS[name][1])),
+            "odom_topic": LOGS[name][2],
+            "method": method,
+            "has_persons": (name, method) == ("wheelchair", "graph"),
+        }
+        for name in logs
+        for method in methods
+    }
+    scores = run_cells("recorded_logs", cell, cells, options)
+    rows = [[name, method, *_figures(scores[f"{name} {method}"])] for name in logs for method in methods]
+    notes = [
+        "Milliseconds are wall time of a step, with all processes running; the CPU is that of the whole run."
     ]
-    lines += ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    lines += ["", *notes]
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    arguments.output.write_text("\n".join(lines) + "\n")
+    if "wheelchair graph" in scores:
+        s = scores["wheelchair graph"]
+        notes += [
+            "",
+            f"wheelchair: {s['persons_found']} of {s['persons']} person labels have a moving point within 0.5 m; of"
+            f" those of persons who walk, {s['walkers_found']} of {s['walkers']}.",
+        ]
+    tables = [Table(heading="With the defaults", columns=COLUMNS, rows=rows)]
+    write_tables("recorded_logs", "Recorded logs", notes, tables, options)
+
+
+def _figures(scores: Scores) -> list[str]:
+    relations = ["-", "-", "-"]
+    if "all_m" in scores:
+        relations = [
+            f"{number(scores['near_m'], 4)} / {number(scores['near_median_m'], 4)}",
+            f"{number(scores['all_m'], 4)} +- {number(scores['all_std_m'], 4)}",
+            number(scores["all_deg"]),
+        ]
+    return [
+        str(scores["n_scans"]) if scores["is_complete"] else f"{scores['n_scans']}, then ended",
+        *relations,
+        str(scores["n_failed"]),
+        str(scores["n_closures"]),
+        f"{number(scores['step_ms'], 2)} / {number(scores['step_95_ms'], 2)}",
+        number(scores["cpu_s"], 1),
+    ]
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Arguments))
+    sys.exit(main(experiment))

@@ -34,7 +34,7 @@ LAYERS = (
     ("run",),
     ("run_folder", "viz"),
     ("viz/rerun",),
-    ("saving", "checkpoints"),
+    ("saving", "checkpoints", "study"),
     ("cli",),
     ("__main__", "__init__"),
 )
@@ -54,7 +54,13 @@ UPWARD = {
 }
 """Imports against the order, each with its reason."""
 
-OWNERS = {"gtsam": "graph", "rerun": "viz/rerun", "kiss_icp": "baselines"}
+OWNERS = {
+    "gtsam": "graph",
+    "rerun": "viz/rerun",
+    "kiss_icp": "baselines",
+    "distributed": "study",
+    "loky": "study",
+}
 """Heavy packages, each behind the one part that may import it."""
 
 CLI_MAY_IMPORT = {
@@ -75,6 +81,7 @@ CLI_MAY_IMPORT = {
     "saved_maps": "`merge` and `edit`",
     "mapping": "the picture of a merged or edited map",
     "checkpoints": "`run`",
+    "study": "`study` and `report`",
     "__init__": "`__version__`",
 }
 """What the command line may import, and for what; the parts of a method are not among it."""
@@ -317,7 +324,7 @@ def undeclared(known: set[str], *folders: str) -> set[str]:
 
 def test_what_the_package_imports_is_declared() -> None:
     optional = {"imageio-ffmpeg"}  # used where it is there and no ffmpeg is
-    assert not undeclared(declared("crowds") | optional, "slammot_graph")
+    assert not undeclared(declared("crowds", "dask") | optional, "slammot_graph")
 
 
 def test_what_tests_and_experiments_import_is_declared() -> None:

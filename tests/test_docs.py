@@ -3,6 +3,7 @@
 import re
 import runpy
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -56,3 +57,47 @@ def test_what_the_page_on_extending_shows_runs(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "block.py").write_text(BLOCKS[title], encoding="utf-8")
     runpy.run_path("block.py")
+
+
+PAPER = (DOCS / "paper.md").read_text(encoding="utf-8")
+PARAMETERS = re.findall(
+    r"^\| .+? \| `([\w.]+)` \| (\S+) \| .*? \| \w+ \| `([\w/.]+)` \|$", PAPER, re.MULTILINE
+)
+
+
+@pytest.mark.parametrize(("key", "default", "file"), PARAMETERS, ids=[row[0] for row in PARAMETERS])
+def test_the_papers_parameters_are_those_of_the_registry(key: str, default: str, file: str) -> None:
+    from slammot_graph.core.config import to_plain
+    from slammot_graph.methods import METHODS
+
+    value: Any = to_plain(METHODS["docpfo"].config)
+    for word in key.split("."):
+        value = value[word]
+    assert value == (default == "true" if isinstance(value, bool) else float(default))
+    assert key.rpartition(".")[2] in (ROOT / "slammot_graph" / file).read_text(encoding="utf-8")
+
+
+def test_the_papers_page_names_what_there_is() -> None:
+    assert len(PARAMETERS) > 20
+    for file, names in re.findall(r"`(\w+/\w+\.py)`(?:: (`[^|]*`))?", PAPER):
+        source = (ROOT / "slammot_graph" / file).read_text(encoding="utf-8")
+        for name in re.findall(r"`(?:\w+\.)?(\w+)`", names):
+            assert f"def {name}(" in source, f"{file}: {name}"
+
+
+STUDIES = (DOCS / "studies.md").read_text(encoding="utf-8")
+
+
+def test_the_study_that_the_page_shows_can_be_planned(tmp_path: Path) -> None:
+    from slammot_graph.study.plan import plan
+    from slammot_graph.study.study_file import read_study
+
+    (text,) = re.findall(r"^```toml\n(.*?)^```", STUDIES, re.MULTILINE | re.DOTALL)
+    (tmp_path / "runs" / "intel").mkdir(parents=True)
+    for name in ("intel.clf.bz2", "intel.relations", "runs/intel/trajectory.tum"):
+        (tmp_path / name).touch()
+    text = text.replace('methods = ["graph", ', 'methods = ["graph", "graph-near", ', 1)
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    rows = plan(read_study(tmp_path / "study.toml"), tmp_path)
+    worlds = {row.world: sum(other.world == row.world for other in rows) for row in rows}
+    assert worlds == {"office": 20 * 5, "intel.clf.bz2": 5, "Intel with six people": 20 * 5}

@@ -29,6 +29,7 @@ from slammot_graph.cli.maps import edit_command, merge_command
 from slammot_graph.cli.methods import config_command, methods_command
 from slammot_graph.cli.running import demo_command, run_command
 from slammot_graph.cli.showing import animate_command, view_command
+from slammot_graph.cli.studying import report_command, study_command
 from slammot_graph.core.errors import SlammotError
 
 __all__ = ["main"]
@@ -97,6 +98,8 @@ def _obey(words: list[str]) -> int:
             "animate": animate_command,
             "compare": compare_command,
             "evaluate": evaluate_command,
+            "study": study_command,
+            "report": report_command,
             "methods": methods_command,
             "config": config_command,
             "calibrate": calibrate_command,

@@ -26,6 +26,7 @@ from slammot_graph.evaluation.objects import (
     evaluate_run_tracks,
     read_objects,
 )
+from slammot_graph.evaluation.paired import bootstrap_median, holm, median_text, p_text, paired_p
 from slammot_graph.evaluation.points import (
     PointScores,
     beam_speeds,
@@ -88,6 +89,7 @@ __all__ = [
     "associate",
     "average_nees",
     "beam_speeds",
+    "bootstrap_median",
     "compare",
     "distance_to_wall",
     "ellipse_coverage",
@@ -101,9 +103,13 @@ __all__ = [
     "evaluate_tracks",
     "evaluate_truth",
     "find_truth",
+    "holm",
     "match_tracks",
+    "median_text",
     "motion_strata",
     "nees",
+    "p_text",
+    "paired_p",
     "path_length",
     "pose_errors",
     "read_objects",

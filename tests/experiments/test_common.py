@@ -22,11 +22,20 @@ NAME = "made"
 
 def count(x: float, calls: str) -> Scores:
     """Write down that it was called."""
-    with Path(calls).open("a", encoding="utf-8") as file:
+    with (Path(calls) / "calls").open(
+        "a", encoding="utf-8"
+    ) as file:  # a folder: files count by their content
         file.write(f"{x:g}\n")
     if x < 0.0:
         raise ValueError(f"{x:g} is negative")
     return {"double": 2.0 * x, "none": math.nan, "deep": {"none": math.inf, "x": x}}
+
+
+def size(log: str, calls: str) -> Scores:
+    """Read a file, and write down that it was called."""
+    with (Path(calls) / "calls").open("a", encoding="utf-8") as file:
+        file.write("x")
+    return {"size": Path(log).read_text(encoding="utf-8")}
 
 
 @pytest.fixture
@@ -37,7 +46,7 @@ def options(tmp_path: Path) -> Options:
 @pytest.fixture
 def cells(tmp_path: Path) -> Callable[..., dict[str, dict[str, Any]]]:
     """Make cells of numbers."""
-    return lambda *numbers: {f"x {x:g}": {"x": float(x), "calls": str(tmp_path / "calls")} for x in numbers}
+    return lambda *numbers: {f"x {x:g}": {"x": float(x), "calls": str(tmp_path)} for x in numbers}
 
 
 def results(options: Options) -> Path:
@@ -70,7 +79,7 @@ def test_results_are_strict_json(options: Options, cells: Callable[..., Any]) ->
 
     line = json.loads(results(options).read_text(encoding="utf-8"), parse_constant=refuse)
     assert line["key"] == "x 1"
-    assert line["code"] == common.code_state()
+    assert line["code"] == common.version_of(f"{__name__}:count")
     assert line["scores"] == {"double": 2.0, "none": None, "deep": {"none": None, "x": 1.0}}
 
 
@@ -93,7 +102,8 @@ def test_a_half_written_line_is_cut_off(
     assert line.startswith(str(results(options)))
     assert done["x 2"]["double"] == 4.0
     assert calls(options) == ["1", "2", "2"]
-    assert results(options).read_bytes() == whole
+    lines = results(options).read_bytes().splitlines()  # but for the times
+    assert [json.loads(line)["key"] for line in lines] == ["x 1", "x 2"]
 
 
 def test_a_line_that_is_not_a_cell_is_computed_again(
@@ -105,7 +115,7 @@ def test_a_line_that_is_not_a_cell_is_computed_again(
     capsys.readouterr()
     done = run_cells(NAME, count, cells(1, 2), options)
     error = capsys.readouterr().err
-    assert all(f"line {number}: not a finished cell" in error for number in (1, 2, 3))
+    assert all(f"line {number}: not a finished cell" in error for number in (1, 2))
     assert "line 4" not in error
     assert done["x 1"]["double"] == 2.0
     assert calls(options) == ["1", "2", "1"]
@@ -118,7 +128,7 @@ def test_a_failing_cell_leaves_the_others(
     options = Options(output=options.output, jobs=jobs)
     with pytest.raises(InputError, match="1 of 3 cells failed"):
         run_cells(NAME, count, cells(1, -2, 3), options)
-    assert f"{NAME}: cell x -2 failed: ValueError: -2 is negative" in capsys.readouterr().err
+    assert f"{NAME}: cell x -2 failed: ValueError: -2 is negative (test_common.py" in capsys.readouterr().err
     assert sorted(calls(options)) == ["-2", "1", "3"]
     done = run_cells(NAME, count, cells(1, 3), options)
     assert [done[key]["double"] for key in done] == [2.0, 6.0]
@@ -128,18 +138,25 @@ def test_a_failing_cell_leaves_the_others(
     assert len(calls(options)) == 4
 
 
-def test_cells_of_other_code_are_told_of(
-    options: Options,
-    cells: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_cells_of_other_code_are_computed_anew(
+    options: Options, cells: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_cells(NAME, count, cells(1, 2), options)
-    assert "other code" not in capsys.readouterr().err
-    monkeypatch.setattr(common, "code_state", lambda: "changed")
+    monkeypatch.setattr(common, "version_of", lambda _: "changed")
     run_cells(NAME, count, cells(1, 2, 3), options)
-    assert "2 of 2 finished cells are of other code" in capsys.readouterr().err
-    assert calls(options) == ["1", "2", "3"]
+    assert calls(options) == ["1", "2", "1", "2", "3"]
+    monkeypatch.undo()
+    run_cells(NAME, count, cells(1, 2), options)  # those of the first code are still there
+    assert len(calls(options)) == 5
+
+
+def test_a_file_counts_by_its_content(options: Options, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    for content, n_calls in (("a", 1), ("a", 1), ("b", 2), ("a", 2)):
+        log.write_text(content, encoding="utf-8")
+        cells = {"log": {"log": str(log), "calls": str(tmp_path)}}
+        assert run_cells(NAME, size, cells, options)["log"]["size"] == content
+        assert len((tmp_path / "calls").read_text(encoding="utf-8")) == n_calls
 
 
 def hold(path: str, held: Event, done: Event) -> None:

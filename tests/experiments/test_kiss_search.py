@@ -1,14 +1,13 @@
 """The search for kiss-icp's setting, in quick mode and with a tiny grid."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from experiments import kiss_search
+from experiments import common, kiss_search
 from experiments.common import ROOT, main
 from slammot_graph.baselines.kiss_icp import KissIcpPipeline
 from tests.rooms import drive, errors
@@ -31,10 +30,10 @@ def rows_of(text: str) -> list[list[str]]:
 
 
 def forbid(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(**_: object) -> None:
+    def fail(_: int) -> None:
         raise AssertionError("a finished cell was run again")
 
-    monkeypatch.setattr(kiss_search, "cell", fail)
+    monkeypatch.setattr(common, "local_workers", fail)
 
 
 @needs_data
@@ -58,7 +57,7 @@ def test_both_stages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(kiss_search, "SPACINGS_M", ((None, None),))
     monkeypatch.setattr(kiss_search, "THRESHOLDS_M", (None,))
     monkeypatch.setattr(kiss_search, "N_BEST", 1)
-    monkeypatch.setattr(kiss_search, "cell", scored(lambda setting: setting["max_range_m"]))
+    monkeypatch.setattr(kiss_search, "cell", scored_by_range)
     text = search(tmp_path)
     rows = rows_of(text)
     # for each start: defaults, the one used, two of the grid; the best one (of 20 m) at five more points
@@ -77,16 +76,12 @@ def test_both_stages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert search(tmp_path) == text
 
 
-def scored(score: Callable[[dict[str, Any]], float]) -> Callable[..., dict[str, Any]]:
+def scored_by_range(log: str, n_scans: int, setting: dict[str, Any]) -> dict[str, Any]:
     """A cell that runs nothing."""
-
-    def cell(log: str, n_scans: int, setting: dict[str, Any]) -> dict[str, Any]:
-        assert n_scans == 40
-        assert Path(log).name == "intel.clf.bz2"
-        value = float(score(setting))
-        return {"near_m": value, "near_deg": 0.0, "n_near": 1, "all_m": value, "n_all": 1, "ms": 1.0}
-
-    return cell
+    assert n_scans == 40
+    assert Path(log).name == "intel.clf.bz2"
+    value = float(setting["max_range_m"])
+    return {"near_m": value, "near_deg": 0.0, "n_near": 1, "all_m": value, "n_all": 1, "ms": 1.0}
 
 
 def test_without_logs_there_is_a_clear_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
