@@ -100,6 +100,7 @@ class InSavedMap(ScanToMap):
         self._start = start
         self._known: KeyframesOfMap | None = None
         self._own: deque[tuple[Keyframe, FloatArray]] = deque(maxlen=N_OWN)
+        self._before: list[Keyframe] = []  # with which the robot was found, until the next match
         self._T_local_keyframe: FloatArray = se2.IDENTITY
         self._sure_at: tuple[float, int] = (0.0, 0)
         self._poses, self._covs = array("d"), array("f")
@@ -167,6 +168,7 @@ class InSavedMap(ScanToMap):
             self._known = KeyframesOfMap(joined, saved.nodes)
         self.is_found = True
         self._own.clear()
+        self._before = self.local_map.keyframes[-N_OWN:]
         self._sure_at = self.propagation.path_m, scan
         self._parts[-1] = self._parts[-1][0], self.T_map_local
         cov = np.diag(np.square(FOUND_STD))
@@ -187,6 +189,14 @@ class InSavedMap(ScanToMap):
             self.propagation.commit(None)
             return CommitResult(is_lost=True, health="lost", events=tuple(events))
         T_local_base, match = self.propagation.state.T_local_base, self._match
+        if self._before and match is not None:
+            if (
+                match.status == "failed"
+            ):  # found by what lies behind; of what is seen here the map knows nothing
+                cov = self.propagation.state.cov_relative
+                self._own.extend((keyframe, cov) for keyframe in self._before)
+                self._renew_local_map()
+            self._before = []
         distance_m, turn_rad = se2.distance(self._T_local_keyframe, T_local_base)
         config = self.local_map.config
         is_keyframe = distance_m > config.keyframe_distance_m or turn_rad > config.keyframe_rotation_rad
