@@ -12,7 +12,7 @@ from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt
 from slammot_graph.loop_closure.config import LoopClosureConfig
 from slammot_graph.loop_closure.known_places import KnownPlaces
-from slammot_graph.loop_closure.place_finder import N_AT_ONCE, N_AT_ONCE_LOST, PlaceFinder
+from slammot_graph.loop_closure.place_finder import PlaceFinder
 from slammot_graph.loop_closure.relocalization import Relocalization
 from slammot_graph.loop_closure.submap import Submap
 from slammot_graph.loop_closure.verification import SearchWindow, Verifier, search_window
@@ -48,7 +48,7 @@ class LoopCloser:
     blind_drives : list of (int, (3, 3) array)
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     finder : PlaceFinder or None
-        Looks all over a saved map that the run started from, or the run's own map once the robot was lost.
+        Looks all over a saved map that the run started from.
     places : KnownPlaces
     first_nodes : dict of int to int
         First node of a component, where it is not that of its first local map.
@@ -82,10 +82,14 @@ class LoopCloser:
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), initial_pose)
 
     def look_all_over(self) -> None:
-        """Look for the component that begins now, of a lost robot, among all local maps whose place is known."""
+        """In a run from a saved map, look for the component that begins now, of a lost robot, in all that is known.
+
+        A run without one is not: most of its building it has not seen, and a place that looks alike would win there.
+        """
+        if self.finder is None:
+            return
         targets = [submap for submap in self.submaps if submap.component in self.relocalization.joined]
-        n_at_once = N_AT_ONCE_LOST if self.places.submaps is None else N_AT_ONCE
-        self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), n_at_once=n_at_once)
+        self.finder = PlaceFinder(self.verifier, targets, self.graph.poses())
 
     def is_sought(self, component: int) -> bool:
         """Tell whether a component's place is looked for all over the map and not found yet."""

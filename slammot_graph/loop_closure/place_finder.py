@@ -21,8 +21,8 @@ REACH_M = 6.0
 MOST_PLACES = 8
 """So many of the best places are verified."""
 
-N_AT_ONCE, N_AT_ONCE_LOST = 6, 2
-"""Local maps that are looked at in a step: of a saved map, and of the run's own while it goes on."""
+N_AT_ONCE = 6
+"""Local maps that are looked at in a step."""
 
 GUESS_M, GUESS_RAD = 5.0, 1.0
 """How far off a pose may be that somebody gives."""
@@ -31,7 +31,7 @@ _Search = Generator[None, None, list[Closure]]
 
 
 class PlaceFinder:
-    """Searches the local maps of a saved map, or those of the run itself before the robot got lost.
+    """Searches the local maps of a saved map, and those that a run which goes on with it has added.
 
     A search goes over many steps, each of which looks at a few of the local maps, so that none takes long.
 
