@@ -339,6 +339,53 @@ def _building() -> World:
     return _world("building", segments, route)
 
 
+def _doors(a: float, b: float, at: float, out: float, rng: np.random.Generator) -> list[Segment]:
+    """A wall along x from a to b at y = `at`, with shut doors 0.12 m behind it on the side `out`."""
+    segments: list[Segment] = []
+    here, door = a, a + float(rng.uniform(1.0, 3.0))
+    step = float(rng.uniform(3.5, 5.5))
+    while door + 1.0 < b:
+        if rng.random() < 0.9:
+            back, end = at + 0.12 * out, door + 0.95
+            segments += [
+                (here, at, door, at),
+                (door, at, door, back),
+                (door, back, end, back),
+                (end, back, end, at),
+            ]
+            here = end
+        door += step if rng.random() < 0.7 else float(rng.uniform(3.0, 9.0))
+    return [*segments, (here, at, b, at)]
+
+
+def _campus() -> World:
+    """Corridors of 2.4 m around six blocks, 200 x 110 m: of the way along them only doors tell, and a few boxes."""
+    rng = np.random.default_rng(3)
+    xs, ys, half = (0.0, 62.0, 133.0, 200.0), (0.0, 52.0, 110.0), 1.2
+    segments: list[Segment] = []
+
+    def add_walls(x0: float, x1: float, y0: float, y1: float, out: float) -> None:
+        for y, side in ((y0, out), (y1, -out)):
+            segments.extend(_doors(x0, x1, y, side, rng))
+        for x, side in ((x0, out), (x1, -out)):
+            segments.extend((b, a, d, c) for a, b, c, d in _doors(y0, y1, x, side, rng))
+
+    for (x0, x1), (y0, y1) in itertools.product(itertools.pairwise(xs), itertools.pairwise(ys)):
+        add_walls(x0 + half, x1 - half, y0 + half, y1 - half, 1.0)
+    add_walls(-half, xs[-1] + half, -half, ys[-1] + half, -1.0)
+    for _ in range(20):
+        x, y, side = float(rng.uniform(3.0, 195.0)), float(rng.choice(ys)), float(rng.choice((-1.0, 1.0)))
+        segments += _box(
+            x,
+            y + side * (half - 0.15) - 0.15,
+            x + float(rng.uniform(0.3, 1.2)),
+            y + side * (half - 0.15) + 0.15,
+        )
+    corners = zip(map(int, "133001122110022331"), map(int, "002200112211001100"), strict=True)
+    route = [(xs[i], ys[j]) for i, j in corners]
+    return _world("campus", segments, route)
+
+
 WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
     {
         "lab": cache(_lab),
@@ -346,5 +393,6 @@ WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
         "corridor": cache(_corridor),
         "hall": cache(_hall),
         "building": cache(_building),
+        "campus": cache(_campus),
     }
 )

@@ -223,6 +223,35 @@ def test_steady_motion_tells_no_clock_offset() -> None:
     assert not calibration.now.clock_offset_s.std < 0.02
 
 
+def offset_down_a_corridor(seed: int, config: CalibrationConfig) -> float:
+    """The robot drives on at changing speed; the matches slide to and fro along the walls, each with those before."""
+    rng = np.random.default_rng(seed)
+    history, calibration = OdometryHistory(), SelfCalibration(config, OdometryNoise())
+    x, odometry_x, T_before = 0.0, 0.0, np.zeros(3)
+    n = 600
+    speed = 0.05 + 0.03 * smooth(n * 10, 4.0, rng)[::10]
+    slid = 0.15 * smooth(n * 10, 0.8, rng)[::10]
+    for k in range(n):
+        x += float(speed[k])
+        odometry_x += float(speed[k]) + rng.normal(0.0, 0.003)
+        T = np.array([x + float(slid[k]), 0.0, 0.0]) + rng.normal(0.0, MATCH_STD)
+        history.advance(0.1 * k, np.array([odometry_x, 0.0, 0.0]), None)
+        if k:
+            increment = se2.between(T_before, T)
+            calibration.add((0.1 * (k - 1), 0.1 * k), increment, (2e-5, 5e-6), T, history)
+        T_before = T
+    calibration.fit(history)
+    return calibration.now.clock_offset_s.value
+
+
+def test_matches_that_slide_make_up_no_clock_offset() -> None:
+    """Their errors go together over many scans, so that some offset explains them by chance."""
+    found = [offset_down_a_corridor(seed, CalibrationConfig()) for seed in range(8)]
+    assert sum(value != 0.0 for value in found) <= 1
+    by_likelihood_alone = CalibrationConfig(min_sigma=1e-9, min_sigma_kept=1e-9)
+    assert sum(offset_down_a_corridor(seed, by_likelihood_alone) != 0.0 for seed in range(8)) >= 4
+
+
 def test_slips_hardly_count() -> None:
     """The wheels spin for a tenth of the drive: a least-squares fit would be off by as much."""
     rng, slips = np.random.default_rng(3), 0
