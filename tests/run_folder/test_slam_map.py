@@ -33,7 +33,7 @@ for _ in range(n):
         while True:
             write_slam_map(path, small, nobody)
             write_slam_map(path, large, nobody)
-    time.sleep(random_s.uniform(0.001, 0.01))
+    time.sleep(random_s.uniform(0.005, 0.03))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     within += path.with_name(".map.slam.tmp").exists()
@@ -54,5 +54,5 @@ def test_killed_writes_damage_no_map(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     both_seen, n_within = done.stdout.split()
     assert both_seen == "True"
-    assert int(n_within) > 2  # some were killed in the midst of a write
+    assert int(n_within) > 0  # some were killed in the midst of a write
     SavedMap.load(tmp_path)
