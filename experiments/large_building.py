@@ -1,6 +1,7 @@
 """A large building with people in it: drift, closures and their precision and recall against the truth."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -31,6 +32,9 @@ NEAR_M, APART_M = 2.0, 8.0
 METHODS = ("graph", "graph-noloop", "odometry")
 CAMPUS = ((1.0, 0), (1.0, 1), (2.0, 2))
 """Factor on the odometry's errors, seed: one long drive through a campus."""
+
+METHODS_OF_CAMPUS = ("graph", "graph-noloop")
+"""The odometry alone is hundreds of metres off at the end, and so is its map."""
 
 CELLS = ((2, 1.0, 0), (2, 1.0, 1), (2, 3.0, 0), (2, 3.0, 1), (3, 2.0, 0))
 """Laps, factor on the odometry's errors, seed."""
@@ -124,7 +128,7 @@ def experiment(options: LoopOptions) -> None:
     for world, n_laps, noise_scale, seed in cells:
         with patch.object(scenarios, "world_named", closed):
             log = simulate(world, seed=seed, n_laps=n_laps, noise_scale=noise_scale, laser="lms200")
-        rows += _rows(f"{n_laps} laps, x {noise_scale:g}, {seed}", log)
+        rows += _rows(f"{n_laps} laps, x {noise_scale:g}, {seed}", log, METHODS)
     tables = [Table(heading="building", columns=COLUMNS, rows=rows)]
     if not options.quick:
         rows = []
@@ -134,7 +138,7 @@ def experiment(options: LoopOptions) -> None:
                 seed=seed,
                 noise_scale=noise_scale,
             )
-            rows += _rows(f"x {noise_scale:g}, {seed}", log)
+            rows += _rows(f"x {noise_scale:g}, {seed}", log, METHODS_OF_CAMPUS)
         tables.append(Table(heading="campus", columns=("odometry noise, seed", *COLUMNS[1:]), rows=rows))
     intro = (
         "The simulated building (54 x 38 m, ring corridor, middle corridor, rooms; 6 people; LMS200 at 10 Hz), driven"
@@ -148,10 +152,10 @@ def experiment(options: LoopOptions) -> None:
     write_report("large_building", options, "A large building with people", [intro], tables)
 
 
-def _rows(name: str, log: SimulatedLog) -> list[list[str]]:
-    """All methods over one log."""
+def _rows(name: str, log: SimulatedLog, methods: Sequence[str]) -> list[list[str]]:
+    """Some methods over one log."""
     rows = []
-    for method in METHODS:
+    for method in methods:
         run = run_watched(log, method)
         rows.append(row(name, method, log, run, log.n_scans))
         say(f"large_building: {' | '.join(rows[-1])}")

@@ -60,6 +60,9 @@ class AdaptiveOdometryConfig(Checked):
     min_excess, max_excess : float
         The odometry is left only while its squared errors exceed what its noise explains by this factor in the mean,
         where a single one counts for no more than the second: one slip alone is none of it.
+    explained_excess : float
+        It is used again once they exceed that by no more than this, also where the previous motion does as well: down a
+        corridor that goes on predicting itself, as the matches follow it.
     min_agreement_to_leave, min_agreement_to_stay : float
         The odometry is left while more of the returns agree with the matches than this in the mean, and comes back when
         fewer do: where much of what the laser sees moves, the matches are no judge.
@@ -79,6 +82,7 @@ class AdaptiveOdometryConfig(Checked):
     error_cap_m: Positive = 0.5
     hysteresis: AtLeastOne = 2.0
     min_excess: Positive = 3.0
+    explained_excess: Positive = 1.5
     max_excess: Positive = 20.0
     min_agreement_to_leave: Share = 0.8
     min_agreement_to_stay: Share = 0.65
@@ -295,7 +299,7 @@ class AdaptiveOdometry:
             is_agreed = record.agreement.values[0] > config.min_agreement_to_leave
             if is_agreed and own > config.hysteresis * other and excess > config.min_excess:
                 self.source = "previous motion"
-        elif other > config.hysteresis * own:
+        elif other > config.hysteresis * own or excess < config.explained_excess:
             self.source = "odometry"
 
     def _compare_noise(self, before: MatchedPose, match: MatchedPose) -> None:

@@ -193,6 +193,18 @@ def test_odometry_that_is_good_again_is_used_again() -> None:
     assert model.report().n_by_previous_motion < 150
 
 
+def test_odometry_is_used_again_though_steady_motion_predicts_itself_as_well() -> None:
+    """Down a corridor at one speed nothing tells both apart, and the matches follow whichever predicts them."""
+    steps = np.tile([0.08, 0.0, 0.0], (300, 1))
+    drive = Drive(steps, dead_from(steps, 60, 120))
+    drive.run()
+    assert "previous motion" in drive.sources[60:120]
+    assert set(drive.sources[150:]) == {"odometry"}
+    undecided = Drive(steps, dead_from(steps, 60, 120))
+    undecided.run(replace(UNCALIBRATED, explained_excess=1e-9))
+    assert set(undecided.sources[150:180]) == {"previous motion"}
+
+
 def test_in_company_the_odometry_is_not_left() -> None:
     """Matches that few returns agree with are no judge: the crowd carries them along."""
     steps = true_steps(200)
