@@ -90,7 +90,7 @@ ROWS = (
     ),
     Row(
         fault="days in one building",
-        outcome="laps in places known well hang on these alone",
+        outcome="laps in places known well are tied to these alone",
         test="tests/loop_closure/test_known_places.py",
     ),
     Row(

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from slammot_graph import Run, open_log
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.results import RunResult
+from slammot_graph.core.scan import Scan
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import evaluate_relations, read_relations
 from slammot_graph.study.measures import completed
 
@@ -79,14 +82,13 @@ def cell(log: str, relations: str | None, odom_topic: str | None, method: str, h
     return scores | (person_scores(Path(log), result) if has_persons else {})
 
 
-def person_scores(bag: Path, result: RunResult) -> Scores:
-    """Count the person labels of the wheelchair bag that have a moving point within 0.5 m.
+def person_labels(bag: Path, scans: Sequence[Scan]) -> list[tuple[int, int, FloatArray]]:
+    """Person labels of the wheelchair bag: number of the scan, of the person, and place (2,) in the base frame [m].
 
     A label belongs to the last scan before it by recording time, and is given in the laser's frame.
     """
-    scans = list(open_log(bag))
     by_stamp = {round(scan.stamp, 6): k for k, scan in enumerate(scans)}
-    found: list[tuple[int, bool]] = []
+    labels: list[tuple[int, int, FloatArray]] = []
     last = None
     with AnyReader([bag]) as reader:
         for connection, _, raw in reader.messages():
@@ -95,13 +97,21 @@ def person_scores(bag: Path, result: RunResult) -> Scores:
                 stamp = scan_message.header.stamp
                 last = by_stamp.get(round(stamp.sec + 1e-9 * stamp.nanosec, 6), last)
             elif connection.topic == "/ground_truth_people_tracks" and last is not None:
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                scan = scans[last]
-                place = np.array([[message.pose.position.x, message.pose.position.y]])
-                person = se2.transform(np.array(scan.laser.T_base_laser), place)[0]
-                points = scan.points_base()[result.is_moving_online[last][: len(scan.ranges)]]
-                near = bool(len(points)) and bool(np.hypot(*(points - person).T).min() < 0.5)
-                found.append((message.id, near))
+                label: Any = reader.deserialize(raw, connection.msgtype)
+                place = np.array([[label.pose.position.x, label.pose.position.y]])
+                in_base = se2.transform(np.array(scans[last].laser.T_base_laser), place)[0]
+                labels.append((last, label.id, in_base))
+    return labels
+
+
+def person_scores(bag: Path, result: RunResult) -> Scores:
+    """Count the person labels of the wheelchair bag that have a moving point within 0.5 m."""
+    scans = list(open_log(bag))
+    found: list[tuple[int, bool]] = []
+    for k, person_id, person in person_labels(bag, scans):
+        points = scans[k].points_base()[result.is_moving_online[k][: len(scans[k].ranges)]]
+        near = bool(len(points)) and bool(np.hypot(*(points - person).T).min() < 0.5)
+        found.append((person_id, near))
     walkers = [near for person_id, near in found if person_id in WALKERS]
     return {
         "persons": len(found),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from experiments.recorded_logs import WALKERS
+from experiments.recorded_logs import WALKERS, person_labels
 from slammot_graph import Run, open_log
 from slammot_graph.core import se2
 from slammot_graph.core.results import RunResult
@@ -67,27 +67,13 @@ def vehicle_scores(bag: Path) -> dict[str, float]:
 def walker_scores(bag: Path) -> dict[str, float]:
     """How many labels of walking persons have a track within 0.5 m; a label belongs to the scan before it."""
     result = Run(open_log(bag), "graph").complete()
-    scans = list(open_log(bag))
-    number = {round(scan.stamp, 6): k for k, scan in enumerate(scans)}
-    labels: list[tuple[int, FloatArray]] = []
-    last = None
-    with AnyReader([bag]) as reader:
-        for connection, _, raw in reader.messages():
-            if connection.msgtype.endswith("LaserScan"):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp
-                last = number.get(round(stamp.sec + 1e-9 * stamp.nanosec, 6), last)
-            elif connection.topic == "/ground_truth_people_tracks" and last is not None:
-                label: Any = reader.deserialize(raw, connection.msgtype)
-                if label.id in WALKERS:
-                    labels.append((last, np.array([label.pose.position.x, label.pose.position.y])))
+    labels = [(k, place) for k, person, place in person_labels(bag, list(open_log(bag))) if person in WALKERS]
     scores: dict[str, float] = {"labels": float(len(labels))}
     for name, rows, T in _both(result):
         n_near = 0
         for k, place in labels:
             seen = rows[np.abs(rows[:, 0] - result.stamps[k]) < 1e-4, 2:4]
-            in_base = se2.transform(np.array(scans[k].laser.T_base_laser), place[None])
-            away = np.hypot(*(seen - se2.transform(T[k], in_base)).T)
+            away = np.hypot(*(seen - se2.transform(T[k], place[None])).T)
             n_near += bool((away < _NEAR_M).any())
         scores[f"{name} near"] = float(n_near)
     return scores

@@ -39,6 +39,7 @@ from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _s
 from slammot_graph.run import make_pipeline
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
 from slammot_graph.simulation.robot import simulate_odometry
+from slammot_graph.study.processes import THREAD_VARIABLES
 
 METHODS = ("graph", "graph-noloop", "icp", "docpfo", "kiss-icp", "kiss-icp-odometry")
 REFERENCE = "kiss-icp-odometry"
@@ -49,7 +50,7 @@ SCENARIO, RATE_HZ = "office", 10.0
 N_WARM = 40
 """Scans that each method sees beforehand, so that its kernels are compiled; and as many that are not counted."""
 
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "TBB", "NUMBA", "OPENBLAS", "MKL")}
+ONE_THREAD = dict.fromkeys(THREAD_VARIABLES, "1")
 
 GATE_LASERS, GATE_SCANS, GATE_ROUNDS = ("lms200", "lowcost360", "utm30lx"), 700, 3
 GATE_SLACK = 1.25

@@ -106,12 +106,12 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
             failures["map"] = error
             return error.grid
 
-    grid = attempt("map", render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
-
-    compared: _Comparison = (None, None, grid)
+    seen = attempt("map", render_map, lambda: _no_map(pipeline.config.grid.resolution_m))
+    compared: _Comparison = (None, None, seen)
     if "map" not in failures:
-        seen, so_far = grid, compared
-        compared = attempt("changes", lambda: _compared(pipeline, final, labels, seen, n), lambda: so_far)
+        compared = attempt(
+            "changes", lambda: _compared(pipeline, final, labels, seen, n), lambda: (None, None, seen)
+        )
     changes, is_changed, grid = compared
     final = replace(final, saved_map=_kept_map(final, changes))
 

@@ -10,12 +10,9 @@ import numpy.typing as npt
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event
 from slammot_graph.core.results import Health, StepResult
-from slammot_graph.core.spool import Spool
+from slammot_graph.core.spool import MOST_IN_MEMORY, Spool
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import FinalEstimate
-
-MOST_IN_MEMORY = 8 << 20
-"""Beyond this [bytes] a temporary file on the disk holds them; so much for each of the two kinds."""
 
 HEALTHS: tuple[Health, ...] = get_args(Health)
 

@@ -31,9 +31,9 @@ from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import ScanView
 from slammot_graph.tracking.factory import make_tracker
-from slammot_graph.tracking.hindsight import Hindsight
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
+from slammot_graph.tracking.track_extension import TrackExtension
 
 __all__ = ["Pipeline", "PipelineConfig"]
 
@@ -179,7 +179,7 @@ class Pipeline:
         if not isinstance(config, SegmentTrackerConfig) or config.smoothing is None:
             return None
         stamps = np.array(self._stamps[: len(T_map_base)])
-        sightings, hindsight = self._sightings.table(), None
+        sightings, extension = self._sightings.table(), None
         detector = self.config.detector
         if isinstance(detector, EllipseDetectorConfig) and self.detector.has_backward_pass:
             known = [seen.is_moving for seen in self._history] if labels is None else labels
@@ -191,8 +191,8 @@ class Pipeline:
                 range_fraction=self.config.range_fraction,
             )
             sightings = sightings_of_views(view, stamps, T_map_base, make_tracker(config))
-            hindsight = Hindsight(view, stamps, config.limits())
-        return smooth_tracks(sightings, stamps, T_map_base, config.smoothing, hindsight)
+            extension = TrackExtension(view, stamps, config.limits())
+        return smooth_tracks(sightings, stamps, T_map_base, config.smoothing, extension)
 
     def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
         """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""

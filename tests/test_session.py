@@ -11,7 +11,10 @@ from slammot_graph.core.results import RunResult
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.spool import Spool
 from slammot_graph.localization import ScanToMapConfig
+from slammot_graph.localization.scan_to_map import ScanToMap
+from slammot_graph.loop_closure import place_finder
 from slammot_graph.methods import Config, get_method
+from slammot_graph.pipeline import Pipeline
 from slammot_graph.run import Run
 from tests.rooms import ListLog, drive, kidnapped, pipeline_config
 
@@ -93,6 +96,29 @@ def test_a_run_from_a_saved_map_goes_on(localize: bool) -> None:
         assert_same(other.complete(), run.result())
     with pytest.raises(InputError, match="is of another start in a saved map"):
         Run(log).resume(states[0])
+
+
+def test_a_run_goes_on_in_the_midst_of_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(place_finder, "N_AT_ONCE", 1)
+    log = drive(80)
+    saved = Run(log).complete().saved_map
+    assert saved is not None
+    start = MapStart(saved=saved, localize=False)
+    run, states = Run(log, start=start), []
+    for _ in run:
+        assert isinstance(run.pipeline, Pipeline)
+        localizer = run.pipeline.localizer
+        assert isinstance(localizer, ScanToMap)
+        assert localizer.closer is not None
+        assert localizer.closer.finder is not None
+        if localizer.closer.finder.is_searching:
+            states.append(kept(run.freeze()))
+    assert states
+    for state in states[:3]:
+        assert state.state is not None
+        other = Run(log, start=start)
+        other.resume(state)
+        assert_same(other.complete(), run.result())
 
 
 def test_a_run_goes_on_twice() -> None:

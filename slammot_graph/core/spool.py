@@ -6,6 +6,9 @@ import weakref
 from contextlib import suppress
 from typing import IO
 
+MOST_IN_MEMORY = 8 << 20
+"""Beyond this [bytes] what a run keeps of its scans is many, and goes into a temporary file."""
+
 _PIECE_BYTES = 1 << 20
 """Once there is a file, so many wait in memory for it."""
 

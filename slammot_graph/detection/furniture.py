@@ -39,15 +39,18 @@ def without_furniture(
     n bool arrays
     """
     n = len(labels)
-    moving: dict[int, tuple[FloatArray, IntArray]] = {}
+    moving: dict[int, tuple[FloatArray, IntArray, BoolArray]] = {}
     is_crowd = np.zeros(n, dtype=np.bool_)
     for k in range(n):
         n_moving = np.count_nonzero(labels[k])
-        is_crowd[k] = n_moving and n_moving > config.crowd_share * np.count_nonzero(history[k].is_valid)
-        if n_moving and not is_crowd[k]:
-            points = history[k].scan.points(T_map_base[k])
-            moving[k] = points, _cell_codes(points[labels[k]], resolution_m)
-    known = np.unique(np.concatenate([_NO_CELLS, *(codes for _, codes in moving.values())]))
+        if not n_moving:
+            continue
+        item = history[k]
+        is_crowd[k] = n_moving > config.crowd_share * np.count_nonzero(item.is_valid)
+        if not is_crowd[k]:
+            points = item.scan.points(T_map_base[k])
+            moving[k] = points, _cell_codes(points[labels[k]], resolution_m), item.is_displaced[labels[k]]
+    known = np.unique(np.concatenate([_NO_CELLS, *(codes for _, codes, _ in moving.values())]))
     if not len(known):
         return list(labels)
     stamps = np.empty(n)
@@ -67,13 +70,12 @@ def without_furniture(
         hits.append(_numbers(np.unique(_cell_codes(static, resolution_m)), known))
         if k in moving:
             passed_by[k] = np.searchsorted(known, np.unique(moving[k][1]))
-    asked = {k: np.searchsorted(known, codes) for k, (_, codes) in moving.items()}
+    asked = {k: np.searchsorted(known, codes) for k, (_, codes, _) in moving.items()}
     before = _hits_apart(range(n), stamps, hits, passed_by, asked, len(known), config.apart_s)
     after = _hits_apart(range(n - 1, -1, -1), stamps, hits, passed_by, asked, len(known), config.apart_s)
     kept = list(labels)
-    for k, (points, _) in moving.items():
+    for k, (points, _, is_displaced) in moving.items():
         was_hit = np.zeros(len(points), dtype=np.bool_)
-        is_displaced = history[k].is_displaced[labels[k]]
         least = np.where(is_displaced, config.min_hits_displaced, config.min_hits)
         was_hit[labels[k]] = before[k] + after[k] >= least
         if not was_hit.any():

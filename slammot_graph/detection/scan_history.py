@@ -11,13 +11,10 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.scan import LaserModel, Scan
-from slammot_graph.core.spool import Spool
+from slammot_graph.core.spool import MOST_IN_MEMORY, Spool
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
-
-MOST_IN_MEMORY = 8 << 20
-"""Beyond this [bytes] a temporary file on the disk holds them."""
 
 _HEAD = struct.Struct("=qdqiI?H9f")
 _SWEEP = struct.Struct("=2d9f")

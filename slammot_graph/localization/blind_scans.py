@@ -20,7 +20,7 @@ MOVED_M, MOVED_RAD = 0.02, 0.01
 SHRUNK_M, SHRUNK_M_S = 0.3, 3.0
 """Beams that shorten by more, at once and with time, are cut off by something that comes: robots do not drive so."""
 NEARER = 1.0 / 3.0
-"""... and to less than this share: a robot that was carried into a smaller room sees walls, not a cover."""
+"""... and to less than this share: a robot that was kidnapped into a smaller room sees walls, not a cover."""
 COVERED_SHARE = 0.9
 """Of the beams, at least, so that it is the laser that is covered and not the robot that is approached."""
 LEAST_SEEN_SHARE = 0.3

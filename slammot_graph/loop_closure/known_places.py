@@ -1,4 +1,4 @@
-"""Places that the robot has been to many times: what it drives there again hangs on them alone.
+"""Places that the robot has been to many times: what it drives there again is tied to them alone.
 
 A lap in known places is tied to them by a closure for each local map, and to itself by the odometry and the matches
 from node to node. Solved for, these ties make the poses of all places of a lap depend on each other directly: with each

@@ -1,7 +1,7 @@
 """Where in a whole saved map a local map lies, with no guess: branch and bound over all of its local maps at once."""
 
 import math
-from collections.abc import Generator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,7 +27,35 @@ N_AT_ONCE = 6
 GUESS_M, GUESS_RAD = 5.0, 1.0
 """How far off a pose may be that somebody gives."""
 
-_Search = Generator[None, None, list[Closure]]
+_WINDOW = SearchWindow(math.inf, REACH_M, math.pi, is_full_circle=True)
+
+
+@dataclass(eq=False)
+class _Search:
+    """How far the search for a local map has come: plain state, which a checkpoint of the run can hold.
+
+    Attributes
+    ----------
+    n_looked_at : int
+        Targets that were looked at.
+    best : float
+        Share of the best possible score that the best of them reaches.
+    found : list of (score, Submap, (3,) array)
+        Those that agree, and with which pose; once all were looked at the best first, less those dealt with.
+    places : (k, 3) array
+        Different places among them so far.
+    candidate : (Submap, (3,) array) or None
+        The one to be verified next.
+    """
+
+    source: Submap
+    nodes: FloatArray
+    n_looked_at: int = 0
+    best: float = 0.0
+    found: list[tuple[float, Submap, FloatArray]] = field(default_factory=list)
+    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    candidate: tuple[Submap, FloatArray] | None = None
+    closures: list[Closure] = field(default_factory=list)
 
 
 class PlaceFinder:
@@ -43,8 +71,6 @@ class PlaceFinder:
         a search is the quicker the better a place is known.
     initial_pose : (3,) array or None
         About where the component that is looked for begins, map frame.
-    n_at_once : int
-        So many of them are looked at in a step.
     """
 
     def __init__(
@@ -53,22 +79,26 @@ class PlaceFinder:
         submaps: list[Submap],
         nodes: FloatArray,
         initial_pose: FloatArray | None = None,
-        n_at_once: int = N_AT_ONCE,
     ) -> None:
         self.verifier = verifier
         self.targets = covering(submaps, nodes)
         self.initial_pose = initial_pose
-        self.n_at_once = n_at_once
         self._search: _Search | None = None
-        self._next: tuple[Submap, FloatArray] | None = None
+        self._next: _Search | None = None
         verifier.n_prepared = max(verifier.n_prepared, min(len(self.targets) + 2, 512))
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether a search is under way."""
+        return self._search is not None
 
     def request(self, source: Submap, nodes: FloatArray) -> None:
         """Let a local map be looked for, after the one that is; of several that wait the last one counts."""
+        search = _Search(source, nodes)
         if self._search is None:
-            self._search = self._searching(source, nodes)
+            self._search = search
         else:
-            self._next = source, nodes
+            self._next = search
 
     def forget(self) -> None:
         """Look for nothing any more."""
@@ -76,16 +106,11 @@ class PlaceFinder:
 
     def go_on(self) -> list[Closure]:
         """Take the search a step further; gives what `find` does once it is through, nothing before."""
-        if self._search is None:
+        search = self._search
+        if search is None or not self._advance(search):
             return []
-        try:
-            next(self._search)
-        except StopIteration as end:
-            self._search = None if self._next is None else self._searching(*self._next)
-            self._next = None
-            found: list[Closure] = end.value
-            return found
-        return []
+        self._search, self._next = self._next, None
+        return search.closures
 
     def find(self, source: Submap, nodes: FloatArray) -> list[Closure]:
         """Give the closures of a local map with all places of the map that agree with it about as well as the best.
@@ -99,47 +124,67 @@ class PlaceFinder:
         nodes : (n, 3) array
             Optimised poses of the graph.
         """
-        search = self._searching(source, nodes)
-        while True:
-            try:
-                next(search)
-            except StopIteration as end:
-                found: list[Closure] = end.value
-                return found
+        search = _Search(source, nodes)
+        while not self._advance(search):
+            pass
+        return search.closures
 
-    def _searching(self, source: Submap, nodes: FloatArray) -> _Search:
-        """Search step by step."""
+    def _advance(self, search: _Search) -> bool:
+        """Look at a few targets, or verify a candidate; tells whether the search is through."""
+        if search.candidate is not None:
+            self._verify(search, *search.candidate)
+        elif self._look(search):
+            return False
+        else:
+            self._rank(search)
+        return not self._choose(search)
+
+    def _look(self, search: _Search) -> bool:
+        """Look at the next targets; tells whether these were as many as are looked at in a step."""
         config = self.verifier.config
-        window = SearchWindow(math.inf, REACH_M, math.pi, is_full_circle=True)
-        best = 0.0
-        found: list[tuple[float, Submap, FloatArray]] = []
-        for k, target in enumerate(self.targets, start=1):
+        for target in self.targets[search.n_looked_at :]:
             centre = np.array([*target.centre, 0.0])
-            needed = max(config.min_score, config.max_ambiguity * best)
-            score, pose = self.verifier.best_pose(target, source, centre, window, needed)
+            needed = max(config.min_score, config.max_ambiguity * search.best)
+            score, pose = self.verifier.best_pose(target, search.source, centre, _WINDOW, needed)
             if score > 0.0:
-                best = max(best, score)
-                found.append((score, target, pose))
-            if k % self.n_at_once == 0:
-                yield
-        found.sort(key=lambda one: -one[0])
-        first = {target.number: rank for rank, (_, target, _) in enumerate(found)}
+                search.best = max(search.best, score)
+                search.found.append((score, target, pose))
+            search.n_looked_at += 1
+            if search.n_looked_at % N_AT_ONCE == 0:
+                return True
+        return False
+
+    def _rank(self, search: _Search) -> None:
+        """Put what agrees best first, here and for the next search."""
+        search.found.sort(key=lambda one: -one[0])
+        first = {target.number: rank for rank, (_, target, _) in enumerate(search.found)}
         self.targets = sorted(self.targets, key=lambda target: first.get(target.number, len(first)))
-        places = np.empty((0, 3))
-        closures: list[Closure] = []
-        for score, target, pose in found:
-            place = se2.compose(nodes[target.anchor], pose)
-            near_m, near_rad = config.relocalization.same_place_m, config.relocalization.same_place_rad
-            if score < config.max_ambiguity * best or _is_near(places, place, near_m, near_rad).any():
+
+    def _choose(self, search: _Search) -> bool:
+        """Choose the next candidate to verify; tells whether there is one."""
+        config = self.verifier.config
+        near_m, near_rad = config.relocalization.same_place_m, config.relocalization.same_place_rad
+        while search.found:
+            score, target, pose = search.found.pop(0)
+            place = se2.compose(search.nodes[target.anchor], pose)
+            if (
+                score < config.max_ambiguity * search.best
+                or _is_near(search.places, place, near_m, near_rad).any()
+            ):
                 continue
-            if len(places) == MOST_PLACES:
-                return []
-            yield
-            places = np.vstack([places, place])
-            closure = self.verifier.verify(target, source, pose, window)
-            if isinstance(closure, Closure) and self._is_expected(closure, nodes):
-                closures.append(closure)
-        return closures
+            if len(search.places) == MOST_PLACES:
+                search.closures = []
+                return False
+            search.places = np.vstack([search.places, place])
+            search.candidate = target, pose
+            return True
+        return False
+
+    def _verify(self, search: _Search, target: Submap, pose: FloatArray) -> None:
+        search.candidate = None
+        closure = self.verifier.verify(target, search.source, pose, _WINDOW)
+        if isinstance(closure, Closure) and self._is_expected(closure, search.nodes):
+            search.closures.append(closure)
 
     def _is_expected(self, closure: Closure, nodes: FloatArray) -> bool:
         """Tell whether a place agrees with the pose that was given, if one was."""

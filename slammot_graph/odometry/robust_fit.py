@@ -37,11 +37,6 @@ class RobustFit:
     scores: FloatArray
     costs: FloatArray
 
-    @property
-    def cost(self) -> float:
-        """Negative log likelihood of all rows."""
-        return float(self.costs.sum())
-
 
 def robust_fit(
     A: FloatArray,

@@ -15,7 +15,7 @@ from typing import Any
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.frozen_state import FrozenRun
-from slammot_graph.core.spool import Spool
+from slammot_graph.core.spool import MOST_IN_MEMORY, Spool
 from slammot_graph.run_folder.atomic import replacing, write_errors
 
 CHECKPOINT_FILE = "run.checkpoint"
@@ -24,7 +24,6 @@ MAGIC = b"slammot-graph checkpoint 1\n"
 
 _MOST_HEADER_BYTES = 16 << 20
 _MOST_STATE_BYTES = 8 << 30
-_MOST_IN_MEMORY = 8 << 20
 _PIECE_BYTES = 1 << 20
 
 
@@ -154,7 +153,7 @@ class CheckpointFile:
         return pieces
 
     def _spool(self, pieces: list[tuple[int, int, int]]) -> Spool:
-        spool = Spool(_MOST_IN_MEMORY)
+        spool = Spool(MOST_IN_MEMORY)
         try:
             with self._scans.open("rb") as file:
                 for place, n, crc in pieces:

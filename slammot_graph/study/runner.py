@@ -127,7 +127,7 @@ class _Loop:
                 ticket, answer = self.answers.get(timeout=_POLL_S)
             except queue.Empty:
                 if not self.workers.is_alive():
-                    self._requeue(strikes=0)
+                    self._requeue()
                     self.workers.restart()
                 continue
             if ticket in self.in_flight:
@@ -147,7 +147,7 @@ class _Loop:
             self.workers.restart()
             yield from self._struck([cell for task in tasks for cell in task])
         else:
-            self._requeue(strikes=0)
+            self._requeue()
             self.workers.restart()
 
     def _is_mended(self, outcome: Outcome) -> bool:
@@ -172,11 +172,9 @@ class _Loop:
             else:
                 self.pending.appendleft(cell)
 
-    def _requeue(self, strikes: int) -> None:
+    def _requeue(self) -> None:
         for task in self.in_flight.values():
-            for cell in reversed(task):
-                self.strikes[cell.digest] = self.strikes.get(cell.digest, 0) + strikes
-                self.pending.appendleft(cell)
+            self.pending.extendleft(reversed(task))
         self.in_flight = {}
 
     def _submit(self) -> None:

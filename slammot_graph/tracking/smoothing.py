@@ -18,7 +18,7 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.tracking import _kernels as _track_kernels
 from slammot_graph.tracking.base import Sightings
 from slammot_graph.tracking.chain import Chain, SmoothingConfig
-from slammot_graph.tracking.hindsight import Hindsight
+from slammot_graph.tracking.track_extension import TrackExtension
 
 PERSON_SIZE_M = 0.9
 """What is larger than this most of the time is no person."""
@@ -84,7 +84,7 @@ def smooth_tracks(
     stamps: FloatArray,
     T_map_base: FloatArray,
     config: SmoothingConfig,
-    hindsight: Hindsight | None = None,
+    extension: TrackExtension | None = None,
 ) -> SmoothedTracks:
     """Link and smooth the tracks of a run.
 
@@ -97,7 +97,7 @@ def smooth_tracks(
     T_map_base : (n, 3) array
         Their optimised poses.
     config : SmoothingConfig
-    hindsight : Hindsight, optional
+    extension : TrackExtension, optional
         The scans themselves: objects are followed beyond their labels.
     """
     tracklets = _tracklets(sightings, T_map_base)
@@ -105,10 +105,10 @@ def smooth_tracks(
     kept = [chain for chain in chains if chain.is_object(config)]
     kept.sort(key=lambda chain: int(chain.scans[0]))
     kept = _without_twins(kept, config.twin_m)
-    if hindsight is not None:
-        kept = [hindsight.extended(chain, kept, config) for chain in kept]
+    if extension is not None:
+        kept = [extension.extended(chain, kept, config) for chain in kept]
         kept = [
-            hindsight.boxed(chain, config) if _object(0, chain).kind == "vehicle" else chain for chain in kept
+            extension.boxed(chain, config) if _object(0, chain).kind == "vehicle" else chain for chain in kept
         ]
         kept.sort(key=lambda chain: int(chain.scans[0]))
     scans, ids, states, covs, is_seen = [], [], [], [], []

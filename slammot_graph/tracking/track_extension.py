@@ -47,7 +47,7 @@ _SAME_M = 0.05
 _VIEWS_KEPT = 512
 
 
-class Hindsight:
+class TrackExtension:
     """Asks the scans of a run about places [m], map frame.
 
     Parameters

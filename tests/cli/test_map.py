@@ -20,10 +20,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("localize", [True, False])
-def test_run_starts_from_a_map(capsys: pytest.CaptureFixture[str], folder: Path, localize: bool) -> None:
-    options = ["--localize"] if localize else []
-    args = [
+def words(folder: Path) -> list[object]:
+    """A run of the second log that starts from the first map."""
+    return [
         "run",
         folder / "second.npz",
         "--output",
@@ -33,7 +32,12 @@ def test_run_starts_from_a_map(capsys: pytest.CaptureFixture[str], folder: Path,
         "--map",
         folder / "first",
     ]
-    code, _, err = run(capsys, *args, *options)
+
+
+@pytest.mark.parametrize("localize", [True, False])
+def test_run_starts_from_a_map(capsys: pytest.CaptureFixture[str], folder: Path, localize: bool) -> None:
+    options = ["--localize"] if localize else []
+    code, _, err = run(capsys, *words(folder), *options)
     assert code == 0, err
     _, poses = read_trajectory(folder / "out" / "trajectory.tum")
     assert np.hypot(*(poses - true_in_map(0))[:, :2].T).max() < 0.05
@@ -44,17 +48,7 @@ def test_run_starts_from_a_map(capsys: pytest.CaptureFixture[str], folder: Path,
 
 
 def test_a_robot_that_is_not_found_is_told(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    args = [
-        "run",
-        folder / "second.npz",
-        "--output",
-        folder / "out",
-        "--rerun",
-        "off",
-        "--map",
-        folder / "first",
-    ]
-    code, _, err = run(capsys, *args, "--max-scans", "10", "--localize")
+    code, _, err = run(capsys, *words(folder), "--max-scans", "10", "--localize")
     assert code == 0
     assert "warning: the robot was not found in" in err
     assert "give --initial-pose" in " ".join(err.split())

@@ -82,7 +82,7 @@ def test_a_laser_that_saw_nothing_before_is_not_covered_by_what_it_sees_then() -
     assert set(judged(scans)) == {None}
 
 
-def test_a_robot_carried_into_a_smaller_room_is_not_covered() -> None:
+def test_a_robot_kidnapped_into_a_smaller_room_is_not_covered() -> None:
     scans = [scan_at(k, 0.1 * k) for k in range(20)]
     for scan in scans[:10]:
         scan.ranges[:] *= 2.5  # up to there in a larger one

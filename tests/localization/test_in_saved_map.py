@@ -138,19 +138,19 @@ def test_no_place_is_found_where_rooms_repeat(room: int) -> None:
 
 @pytest.mark.parametrize("is_told", [True, False])
 def test_a_robot_that_is_lost_is_looked_for_again(is_told: bool) -> None:
-    """Carried to another place of the ring while it localizes; the wheels tell of it, but badly, or stand still."""
+    """Kidnapped to another place of the ring while it localizes; the wheels tell of it, but badly, or stand still."""
     scans = list(ring_log(2))
     odometry = np.array([odometry_of(scan) for scan in scans])
     after = (
         odometry[230:] if is_told else se2.compose(odometry[149], se2.between(odometry[230], odometry[230:]))
     )
-    carried = [
+    kidnapped = [
         replace(scan, index=150 + k, T_odom_base=after[k], odometry=None)
         for k, scan in enumerate(scans[230:])
     ]
     with Pipeline(PipelineConfig(), MapStart(saved=ring_map(), localize=True)) as pipeline:
         steps = [pipeline.step(replace(scan, odometry=None)) for scan in scans[:150]]
-        steps += [pipeline.step(scan) for scan in carried]
+        steps += [pipeline.step(scan) for scan in kidnapped]
         final = pipeline.final()
     T_true = np.concatenate([true_in_map(0)[:150], true_in_map(0)[230:]])
     distance_m, _ = offsets(T_true, np.array([step.T_map_base for step in steps]))

@@ -1,4 +1,4 @@
-"""Laps in known places hang on these alone, and the graph stays one that can be solved."""
+"""Laps in known places are tied to these alone, and the graph stays one that can be solved."""
 
 from collections.abc import Iterator
 

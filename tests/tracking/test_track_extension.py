@@ -7,8 +7,8 @@ import numpy as np
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.tracking.base import ScanView
 from slammot_graph.tracking.chain import Chain, SmoothingConfig
-from slammot_graph.tracking.hindsight import Hindsight
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
+from slammot_graph.tracking.track_extension import TrackExtension
 from tests.tracking.test_segment_tracker import view_of
 
 N, FIRST = 60, 20
@@ -42,9 +42,9 @@ def labelled() -> Chain:
 
 
 def extended(views: Callable[[int], ScanView]) -> Chain:
-    hindsight = Hindsight(views, STAMPS, SegmentTrackerConfig().limits())
+    extension = TrackExtension(views, STAMPS, SegmentTrackerConfig().limits())
     chain = labelled()
-    return hindsight.extended(chain, [chain], SmoothingConfig())
+    return extension.extended(chain, [chain], SmoothingConfig())
 
 
 def test_a_track_goes_on_where_the_laser_sees_through_at_other_times() -> None:
