@@ -7,7 +7,7 @@ DOCS_READY := $(VENV)/.ready-docs
 # lines of the package that the tests run, in percent; numba's kernels are not counted
 COVERAGE := 96
 
-.PHONY: demo test fuzz bench tables docs format clean clean-kernels
+.PHONY: demo test types kernels fuzz bench tables docs format clean clean-kernels
 
 demo: $(READY)
 	$(BIN)/slammot-graph demo --output runs/demo
@@ -15,8 +15,15 @@ demo: $(READY)
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	@$(MAKE) --no-print-directory -j 2 types kernels
 	$(BIN)/pytest -n 2 --cov --cov-report=term --cov-fail-under=$(COVERAGE)
+
+types: $(READY)
+	$(BIN)/mypy
+
+# compiled once here, beside the types; the processes of the tests would all compile the same ones
+kernels: $(READY)
+	$(BIN)/slammot-graph demo --output build/demo
 
 # 20,000 examples for each reader, other ones each time
 fuzz: $(READY)

@@ -56,13 +56,17 @@ class Diary(Observer):
 
 
 class Curious(Observer):
-    """Asks for all there is at every scan."""
+    """Asks for all there is, for the map (which takes long) at every fifth scan."""
+
+    n_steps = 0
 
     def on_step(self, step: StepResult, view: RunView) -> None:
         assert len(view.nodes()) == len({edge.to_node for edge in view.edges()} | {0})
-        assert np.isfinite(view.map().p_occupied).any()
-        assert view.map() is view.map()
         view.test_grid(5.0)
+        self.n_steps += 1
+        if self.n_steps % 5 == 1:
+            assert np.isfinite(view.map().p_occupied).any()
+            assert view.map() is view.map()
 
 
 def test_an_observer_of_three_lines() -> None:
