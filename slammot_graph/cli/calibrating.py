@@ -18,7 +18,8 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice, prepare_file
+from slammot_graph.cli.files import prepare_file
+from slammot_graph.cli.reading import DEFAULT_READING, Reading
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,15 +38,7 @@ def calibrate_command(
     output: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "graph",
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
-    scan_topic: ScanTopics = None,
-    cloud_topic: CloudTopic = None,
-    heights: Slice = None,
-    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
-    base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
-    odometry: OdometrySwitch = "on",
-    laser_pose: LaserPose = None,
+    reading: Reading = DEFAULT_READING,
 ) -> int:
     """Estimate the odometry's noise from a log, for `run --config`.
 
@@ -59,44 +52,17 @@ def calibrate_command(
         One of those that `slammot-graph methods` lists and that match onto a local map.
     max_scans
         Take the log's first ones only.
-    scan_topic
-        Which laser of a bag, or which lasers.
-    cloud_topic
-        Clouds (PointCloud2) of a bag, to make scans of.
-    heights
-        Heights above the base between which a cloud is cut into a scan [m].
-    odom_topic
-        Which odometry of a bag.
-    imu_topic
-        Which IMU of a bag.
-    odom_frame
-        Frame of a bag's tf that odometry is told in, as robot1/odom.
-    base_frame
-        Frame of the robot in a bag's tf, as robot1/base_link.
-    odometry
-        off: leave the log's odometry aside; the laser alone tells of the motion.
-    laser_pose
-        As for `slammot-graph run`.
+    reading
+        What of the log is read, and how.
     """
     from slammot_graph.core.config import to_toml
-    from slammot_graph.logs import open_log, source_of
+    from slammot_graph.logs import source_of
     from slammot_graph.odometry.self_calibration import calibrate
     from slammot_graph.run_folder.atomic import atomic_path
 
     check_max_scans(max_scans)
     config, default = _settings(method)
-    opened = open_log(
-        log,
-        scan_topic=scan_topic,
-        cloud_topic=cloud_topic,
-        heights=heights,
-        odom_topic=odom_topic,
-        imu_topic=imu_topic,
-        odom_frame=odom_frame,
-        base_frame=base_frame,
-        laser_pose=laser_pose,
-        odometry=odometry == "on",
-    )
+    opened = reading.open(log)
     if source_of(opened).get("odometry") is not None:
         raise InputError(f"{log}: no odometry, so there is none to calibrate")
     if output is not None:

@@ -19,7 +19,7 @@ from slammot_graph.cli.console import (
     stdout,
     warn,
 )
-from slammot_graph.cli.files import CloudTopic, LaserPose, ScanTopics, Slice
+from slammot_graph.cli.reading import DEFAULT_READING, Reading
 from slammot_graph.core.strict_json import strict_json
 
 if TYPE_CHECKING:
@@ -33,11 +33,7 @@ def check_command(
     /,
     *,
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
-    scan_topic: ScanTopics = None,
-    cloud_topic: CloudTopic = None,
-    heights: Slice = None,
-    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    laser_pose: LaserPose = None,
+    reading: Reading = DEFAULT_READING,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Say in seconds what is wrong with a log, with the likely cause and the remedy; writes nothing.
@@ -51,30 +47,14 @@ def check_command(
         As for `slammot-graph run`.
     max_range
         Leave aside what is farther [m].
-    scan_topic
-        Which laser of a bag, or which lasers.
-    cloud_topic
-        Clouds (PointCloud2) of a bag, to make scans of.
-    heights
-        Heights above the base between which a cloud is cut into a scan [m].
-    odom_topic
-        Which odometry of a bag.
-    laser_pose
-        As for `slammot-graph run`.
+    reading
+        What of the log is read, and how.
     as_json
         Print JSON in place of the table.
     """
     from slammot_graph.diagnosis import check_log
-    from slammot_graph.logs import open_log
 
-    opened = open_log(
-        log,
-        scan_topic=scan_topic,
-        cloud_topic=cloud_topic,
-        heights=heights,
-        odom_topic=odom_topic,
-        laser_pose=laser_pose,
-    )
+    opened = reading.open(log)
     with progress(f"check of {log.name}", opened.n_scans, "scans", passed_over=opened.skipped) as show:
         report = check_log(opened, max_range_m=None if math.isinf(max_range) else max_range, show=show)
     if as_json:

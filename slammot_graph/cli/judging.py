@@ -19,7 +19,8 @@ from slammot_graph.cli.console import (
     stderr,
     stdout,
 )
-from slammot_graph.cli.files import open_log_of_run, prepare_file
+from slammot_graph.cli.files import prepare_file
+from slammot_graph.cli.reading import open_log_of_run
 from slammot_graph.cli.running import RerunMode
 from slammot_graph.core.errors import InputError
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, check_max_scans, scan_progress, stderr, warn
-from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice, prepare_file
+from slammot_graph.cli.files import prepare_file
+from slammot_graph.cli.reading import DEFAULT_READING, Reading
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,15 +53,7 @@ def inject_command(
     output: Annotated[Path, tyro.conf.arg(metavar="LOG.npz")],
     reference: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="K")] = None,
-    scan_topic: ScanTopics = None,
-    cloud_topic: CloudTopic = None,
-    heights: Slice = None,
-    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
-    base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
-    odometry: OdometrySwitch = "on",
-    laser_pose: LaserPose = None,
+    reading: Reading = DEFAULT_READING,
 ) -> int:
     """Copy a recorded log with people in it who cross the beams, and exact labels of those beams.
 
@@ -80,24 +73,8 @@ def inject_command(
         A run folder of the same log, whose trajectory says where the robot was; by default `graph` is run first.
     max_scans
         Take the log's first ones only.
-    scan_topic
-        Which laser of a bag, or which lasers.
-    cloud_topic
-        Clouds (PointCloud2) of a bag, to make scans of.
-    heights
-        Heights above the base between which a cloud is cut into a scan [m].
-    odom_topic
-        Which odometry of a bag.
-    imu_topic
-        Which IMU of a bag.
-    odom_frame
-        Frame of a bag's tf that odometry is told in, as robot1/odom.
-    base_frame
-        Frame of the robot in a bag's tf, as robot1/base_link.
-    odometry
-        off: leave the log's odometry aside; the laser alone tells of the motion.
-    laser_pose
-        As for `slammot-graph run`.
+    reading
+        What of the log is read, and how.
     """
     check_max_scans(max_scans)
     for name, value in (("people", people), ("seed", seed)):
@@ -106,22 +83,11 @@ def inject_command(
     if output.suffix != ".npz":
         raise InputError(f"{output}: the name of --output must end in .npz")
 
-    from slammot_graph.logs import open_log, write_npz_log
+    from slammot_graph.logs import write_npz_log
     from slammot_graph.run_folder.atomic import atomic_path
     from slammot_graph.simulation import inject
 
-    opened = open_log(
-        log,
-        scan_topic=scan_topic,
-        cloud_topic=cloud_topic,
-        heights=heights,
-        odom_topic=odom_topic,
-        imu_topic=imu_topic,
-        odom_frame=odom_frame,
-        base_frame=base_frame,
-        laser_pose=laser_pose,
-        odometry=odometry == "on",
-    )
+    opened = reading.open(log)
     if output.exists() and output.samefile(log):
         raise InputError(f"{output}: is the recorded log itself; name another --output")
     prepare_file(output)

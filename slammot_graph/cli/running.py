@@ -27,9 +27,9 @@ from slammot_graph.cli.console import (
     warn,
     warn_of,
 )
-from slammot_graph.cli.files import CloudTopic, LaserPose, OdometrySwitch, ScanTopics, Slice
 from slammot_graph.cli.keeping import Keeping
 from slammot_graph.cli.logs import write_simulation
+from slammot_graph.cli.reading import DEFAULT_READING, Reading
 from slammot_graph.cli.run_table import Outcome, run_table
 from slammot_graph.core.errors import InputError
 
@@ -61,15 +61,7 @@ def run_command(
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None,
     max_range: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf,
     max_scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    scan_topic: ScanTopics = None,
-    cloud_topic: CloudTopic = None,
-    heights: Slice = None,
-    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    imu_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
-    odom_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
-    base_frame: Annotated[str | None, tyro.conf.arg(metavar="F")] = None,
-    odometry: OdometrySwitch = "on",
-    laser_pose: LaserPose = None,
+    reading: Reading = DEFAULT_READING,
     map_folder: Annotated[Path | None, tyro.conf.arg(name="map", metavar="DIR")] = None,
     localize: bool = False,
     initial_pose: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y YAW")] = None,
@@ -94,25 +86,8 @@ def run_command(
         Leave aside what is farther [m]; by default as the settings say.
     max_scans
         Take the log's first ones only.
-    scan_topic
-        Which laser of a bag, or which lasers.
-    cloud_topic
-        Clouds (PointCloud2) of a bag, to make scans of.
-    heights
-        Heights above the base between which a cloud is cut into a scan [m].
-    odom_topic
-        Which odometry of a bag.
-    imu_topic
-        Which IMU of a bag.
-    odom_frame
-        Frame of a bag's tf that odometry is told in, as robot1/odom.
-    base_frame
-        Frame of the robot in a bag's tf, as robot1/base_link.
-    odometry
-        off: leave the log's odometry aside; the laser alone tells of the motion.
-    laser_pose
-        Where the laser sits on the robot [m, m, rad], in place of what the log says; flip: upside down. Of several
-        lasers, the frame of each before its pose.
+    reading
+        What of the log is read, and how.
     map_folder
         Start from the map of this run's folder (map.slam): find the robot in it, and go on with it.
     localize
@@ -129,7 +104,7 @@ def run_command(
         How often to write what such a run goes on from [s], at most 2 % of the time; 0: never.
     """
     from slammot_graph.core.config import load_config
-    from slammot_graph.logs import open_log, source_of
+    from slammot_graph.logs import source_of
     from slammot_graph.methods import get_method
 
     check_max_scans(max_scans)
@@ -143,18 +118,7 @@ def run_command(
     if config is not None:
         with printed_deprecations():
             settings = load_config(config, settings)
-    opened = open_log(
-        log,
-        scan_topic=scan_topic,
-        cloud_topic=cloud_topic,
-        heights=heights,
-        odom_topic=odom_topic,
-        imu_topic=imu_topic,
-        odom_frame=odom_frame,
-        base_frame=base_frame,
-        laser_pose=laser_pose,
-        odometry=odometry == "on",
-    )
+    opened = reading.open(log)
     if method == "odometry" and source_of(opened).get("odometry") is not None:
         raise InputError(
             f"{log}: no odometry, and the method odometry has nothing else; take another, as graph"

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from slammot_graph.cli.console import EXIT_OK, command, progress, stderr
-from slammot_graph.cli.files import ScanTopics, open_log_of_run, prepare_file
+from slammot_graph.cli.files import prepare_file
+from slammot_graph.cli.reading import ScanTopics, Topic, open_log_of_run
 from slammot_graph.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def animate_command(
     first: Annotated[int, tyro.conf.arg(metavar="N")] = 1,
     last: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     scan_topic: ScanTopics = None,
-    odom_topic: Annotated[str | None, tyro.conf.arg(metavar="T")] = None,
+    odom_topic: Topic = None,
 ) -> int:
     """Make a moving picture of a run.
 

@@ -19,7 +19,7 @@ import pytest
 from slammot_graph import Run, __version__, cli
 from slammot_graph import run as run_module
 from slammot_graph.cli import console, running
-from slammot_graph.cli.files import open_log_of_run
+from slammot_graph.cli.reading import open_log_of_run
 from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import StepResult

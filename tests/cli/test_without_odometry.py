@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slammot_graph.cli.files import open_log_of_run
+from slammot_graph.cli.reading import open_log_of_run
 from slammot_graph.evaluation import absolute_error
 from slammot_graph.logs import open_log, source_of, write_npz_log
 from slammot_graph.methods import METHODS
