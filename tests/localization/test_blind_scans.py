@@ -55,6 +55,33 @@ def test_a_laser_is_covered_until_it_sees_far_again(n_fading: int) -> None:
     assert set(told[:first] + told[30:]) == {None}
 
 
+@pytest.mark.parametrize(("distance_m", "share"), [(0.15, 1.0), (0.3, 0.85), (0.6, 0.85), (0.6, 1.0)])
+def test_a_laser_is_covered_beside_walls_too(distance_m: float, share: float) -> None:
+    scans = [scan_at(k, 0.1 * k) for k in range(40)]
+    n = len(scans[0].ranges)
+    for scan in scans:
+        scan.ranges[: n // 3] = 0.8  # what was near before does not shorten by much
+    for k in range(10, 30):
+        cover = distance_m + 0.03 * np.sin(0.3 * k) + np.random.default_rng(k).normal(0.0, 0.01, n)
+        scans[k] = replace(scans[k], ranges=np.where(np.arange(n) < share * n, cover, scans[k].ranges))
+    assert judged(scans) == [None] * 10 + ["covered"] * 20 + [None] * 10
+
+
+def test_a_closet_that_the_robot_was_carried_into_is_known_by_driving_in_it() -> None:
+    scans = [scan_at(k, 0.0) for k in range(10)]
+    for scan in scans:
+        scan.ranges[:] = 4.0
+    y = np.linspace(0.0, 0.8, 30)
+    angles = scans[0].laser.angles_base
+    for k in range(30):  # round walls of 0.9 m, through which it drives
+        ahead = y[k] * np.cos(angles)
+        ranges = -ahead + np.sqrt(ahead**2 + 0.81 - y[k] ** 2)
+        scans.append(replace(scan_at(10 + k, y[k]), ranges=ranges))
+    told = judged(scans)
+    assert told[10:15] == ["covered"] * 5
+    assert set(told[-10:]) == {None}
+
+
 def test_somebody_who_steps_before_the_laser_does_not_cover_it() -> None:
     scans = [scan_at(k, 0.1 * k) for k in range(20)]
     n = len(scans[0].ranges)
