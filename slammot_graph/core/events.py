@@ -45,14 +45,12 @@ def _lost(data: Mapping[str, Any]) -> str:
         return (
             f"lost: drove for {n} scans with nothing in sight, a new local map begins where the odometry says"
         )
-    why = (
-        f"{n} scans with nothing in sight, the robot may have been kidnapped"
-        if data["cause"] == "kidnapped"
-        else f"{n} matches failed in a row"
-    )
     if data["cause"] == "saved map":
-        n_scans = data["n_scans"]
-        return f"lost: for {n_scans} scans the saved map has not shown what the robot sees, it is looked for again"
+        return f"lost: for {n} scans the saved map has not shown what the robot sees, it is looked for again"
+    why = {
+        "kidnapped": f"{n} scans with nothing in sight, the robot may have been kidnapped",
+        "gap": "no scans for a while and no odometry, and nothing within reach looks like this scan",
+    }.get(data["cause"], f"{n} matches failed in a row")
     return f"lost: {why}, a new local map begins here"
 
 
@@ -106,8 +104,8 @@ class Event:
         Index of the scan at which it happened.
     data : mapping
         What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped", "blind
-        drive", "failed matches" or "saved map") and `n_scans` of a lost robot; `cause` ("repeated" or "covered") of a
-        blind laser;
+        drive", "gap", "failed matches" or "saved map") and `n_scans` of a lost robot; `cause` ("repeated" or "covered")
+        of a blind laser;
         `reason` of a contradiction; `after` ("contradiction" or "lost"), `n_scans` since then and `n_consistent` of a
         recovery; `factor`, `from_node`, `to_node` and `reason` of what the graph could not take in; `target_node`,
         `source_node` and `reason` of a closure.

@@ -16,6 +16,7 @@ FindingKind = Literal[
     "more than a full turn",
     "nothing matched",
     "many failed matches",
+    "inconsistent matches",
     "lost",
     "laser blind",
     "contradiction",

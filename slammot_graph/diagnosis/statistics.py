@@ -3,6 +3,7 @@
 from collections import Counter
 
 from slammot_graph.core.results import Health, MatchStatus, StepResult
+from slammot_graph.diagnosis.consistency import InnovationConsistency
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
 from slammot_graph.diagnosis.odometry import OdometryStatistics
 from slammot_graph.diagnosis.turns import TurnAgreement
@@ -17,6 +18,7 @@ class RunStatistics:
     scans : ScanStatistics
     odometry : OdometryStatistics
     turns : TurnAgreement
+    consistency : InnovationConsistency
     matches : Counter
         Scans by the status of their match; "none" where there was none.
     health : Counter
@@ -36,6 +38,7 @@ class RunStatistics:
         self.scans = ScanStatistics(limits)
         self.odometry = OdometryStatistics()
         self.turns = TurnAgreement()
+        self.consistency = InnovationConsistency()
         self.matches: Counter[MatchStatus | str] = Counter()
         self.health: Counter[Health] = Counter()
         self.n_lost = 0
@@ -48,6 +51,7 @@ class RunStatistics:
         self.scans.add(step.scan)
         self.odometry.add(step.scan.stamp, step.scan.T_odom_base, step.T_map_base)
         self.turns.add(step)
+        self.consistency.add(step)
         self.matches["none" if step.match is None else step.match.status] += 1
         self.health[step.health] += 1
         for event in step.events:

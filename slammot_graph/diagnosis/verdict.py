@@ -64,6 +64,7 @@ def diagnose(
         may_contradict = report.has_odometry and "odometry never moves" not in kinds
         found += _of_matches(statistics, may_contradict=may_contradict)
         found += statistics.turns.findings()
+        found += statistics.consistency.findings()
     found += _of_blindness(statistics.blind)
     found += _of_warnings(log_warnings, {finding.kind for finding in found})
     return worst_first(found)

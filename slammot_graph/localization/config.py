@@ -121,6 +121,13 @@ class ScanToMapConfig(Checked):
     astray_share : float
         Where a smaller share of the returns agrees than this times the usual one, nothing is known of the heading: they
         are turned all around.
+    adrift_m : float
+        Where the motion since the scan before is known less well, as after a gap without odometry, starts are shifted
+        as well, in steps of this length ...
+    shift_reach : float
+        ... up to so many standard deviations ...
+    adrift_share : float
+        ... and a start is believed where so large a share agrees of what usually does: the robot may be beyond.
     min_agreement : float
         Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
         that moves disagree.
@@ -146,6 +153,9 @@ class ScanToMapConfig(Checked):
     turn_reach: Positive = 2.5
     turn_step_rad: Positive = 0.3
     astray_share: Share = 0.5
+    adrift_m: Positive = 0.5
+    shift_reach: Positive = 1.5
+    adrift_share: Share = 0.9
     min_agreement: Share = 0.75
     close_loops: bool = True
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)

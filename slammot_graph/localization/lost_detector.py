@@ -14,7 +14,7 @@ from slammot_graph.core.types import FloatArray
 class Loss:
     """Why the robot is taken for lost, and after how many scans."""
 
-    cause: Literal["failed matches", "kidnapped", "blind drive"]
+    cause: Literal["failed matches", "kidnapped", "blind drive", "gap"]
     n_scans: int
 
 
@@ -48,6 +48,7 @@ class LostDetector:
         has_points: bool,
         has_local_map: bool,
         has_odometry: bool = False,
+        is_adrift: bool = False,
     ) -> Loss | None:
         """Take in the next scan; tells if the robot is lost now.
 
@@ -62,6 +63,8 @@ class LostDetector:
             There was something to match onto.
         has_odometry : bool
             The dead-reckoned pose comes from wheels, which tell of the way also where nothing is seen.
+        is_adrift : bool
+            The prediction knows so little of the place that what failed here cannot go on from it.
         """
         has_failed = match is not None and match.status == "failed"
         if match is not None and has_failed:
@@ -72,6 +75,8 @@ class LostDetector:
         if has_points and has_local_map and self._may_be_kidnapped(T_odom_base, has_failed):
             is_blind_drive = has_odometry and self._distance_m(T_odom_base) >= self.kidnapped_distance_m
             loss = Loss(cause="blind drive" if is_blind_drive else "kidnapped", n_scans=self.n_blind)
+        elif has_failed and has_points and is_adrift:
+            loss = Loss(cause="gap", n_scans=1)
         elif self.n_failed >= self.n_lost:
             loss = Loss(cause="failed matches", n_scans=self.n_lost)
         if loss is not None:

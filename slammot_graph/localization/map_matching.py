@@ -16,6 +16,9 @@ from slammot_graph.odometry.propagation import MotionState
 from slammot_graph.registration.base import Match, MatchPrior
 from slammot_graph.registration.factory import make_matcher
 
+N_SEARCHED = 60
+"""Returns that a search of many starts looks at; the best start is then matched with all."""
+
 
 class MapMatching:
     """Point-to-line matching of one scan after the other onto the local map.
@@ -28,6 +31,9 @@ class MapMatching:
     matcher : Matcher
     laser_base : (2,), (1, 2) or (n, 2) array
         Where the beams of the latest scan start from, base frame [m].
+    is_adrift : bool
+        So little was known of the motion to the latest scan that another place within reach may look alike, as after a
+        gap without odometry.
     """
 
     def __init__(self, config: ScanToMapConfig, local_map: LocalMap) -> None:
@@ -42,6 +48,7 @@ class MapMatching:
         self._noise_scale = 1.0
         self._elsewhere: MotionState | None = None
         self._latest: MatchResult | None = None
+        self.is_adrift = False
 
     def start_scan(self, laser_base: FloatArray, T_local_before: FloatArray) -> None:
         """Move on to the next scan.
@@ -59,6 +66,7 @@ class MapMatching:
             agreement = self.agreement(self._latest)
             self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
         self._latest = self._elsewhere = None
+        self.is_adrift = False
 
     def scale_noise(self, scale: float) -> None:
         """Take the noise of matches for so many times what the configuration says, from now on."""
@@ -90,6 +98,8 @@ class MapMatching:
         A match with a narrower kernel that fails is made again with the usual one.
         """
         is_valid = is_static if is_valid is None else is_valid
+        if self._elsewhere is None:
+            self.is_adrift = bool(np.trace(start.cov_motion[:2, :2]) > 2.0 * self.config.adrift_m**2)
         start = state = self._elsewhere or start
         self._static_share = float(np.count_nonzero(is_static) / max(int(np.count_nonzero(is_valid)), 1))
         matched = self._match_from(points_base, is_static, start, kernel_factor)
@@ -151,6 +161,9 @@ class MapMatching:
         if self._is_doubtful(matched[0]):
             elsewhere = self._match_elsewhere(points_base, is_valid, matched[0], start)
             if elsewhere is None:
+                needed = self.config.adrift_share * self._usual_agreement
+                if self.is_adrift and self.agreement(matched[0]) < needed:
+                    return self._match_from(points_base, is_static, start, least_agreement=needed), start
                 return matched, start
             self._elsewhere, self._static_share = elsewhere, 1.0
             return self._match_from(points_base, is_valid, elsewhere), elsewhere
@@ -169,11 +182,17 @@ class MapMatching:
         is_used: BoolArray,
         start: MotionState,
         kernel_factor: float = 1.0,
+        least_agreement: float | None = None,
     ) -> Match:
+        """Match from a start; with a least agreement of its own, which 0 lets nothing fall short of."""
         prior = MatchPrior(
             T_a_base=start.T_local_base, cov=start.cov_prior, cov_independent=start.cov_independent
         )
-        return self.matcher.match(
+        matcher = self.matcher
+        if least_agreement is not None:
+            usual = self.config.point_to_line
+            matcher = make_matcher(replace(usual, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
+        return matcher.match(
             self.local_map, points_base, is_used, self.laser_base, prior, kernel_factor=kernel_factor
         )
 
@@ -205,7 +224,12 @@ class MapMatching:
         best: MotionState | None = None
         reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
         rounds = [self._starts_before() + self._turned_starts(start, 0.0, reach_rad)]
-        if agreement < self.config.astray_share * self._usual_agreement:
+        if self.is_adrift:
+            needed = max(needed, self.config.adrift_share * self._usual_agreement)
+            std_m = math.sqrt(np.trace(start.cov_motion[:2, :2]))
+            shifted = self._best_shifted(points_base, is_valid, anywhere, std_m)
+            rounds = [[*rounds[0], *self._turned_starts(start, reach_rad, math.pi), shifted]]
+        elif agreement < self.config.astray_share * self._usual_agreement:
             rounds.append(self._turned_starts(start, reach_rad, math.pi))
         for starts in rounds:
             for T in starts:
@@ -216,6 +240,27 @@ class MapMatching:
             if best is not None:
                 break
         return best
+
+    def _best_shifted(
+        self, points_base: FloatArray, is_valid: BoolArray, start: MotionState, std_m: float
+    ) -> FloatArray:
+        """Where some of the returns agree best of all places that the robot may be at, in all headings."""
+        step_m = self.config.adrift_m
+        n = int(min(self.config.shift_reach * std_m, self.config.lost_std_m) / step_m)
+        shifts = [(i, j) for i in range(-n, n + 1) for j in range(-n, n + 1) if math.hypot(i, j) <= n]
+        some = np.zeros_like(is_valid)
+        k = np.flatnonzero(is_valid)
+        some[k[:: max(len(k) // N_SEARCHED, 1)]] = True
+        best, T_best = 0.0, start.T_local_base
+        for i, j in shifts:
+            T = se2.compose(start.T_local_base, np.array([i * step_m, j * step_m, 0.0]))
+            there = start._replace(T_local_base=T)
+            for T_start in (T, *self._turned_starts(there, 0.0, math.pi)):
+                at = there._replace(T_local_base=T_start)
+                match, T_found, _ = self._match_from(points_base, some, at, least_agreement=0.0)
+                if match.inlier_ratio > best:
+                    best, T_best = match.inlier_ratio, T_found
+        return T_best
 
     def _starts_before(self) -> list[FloatArray]:
         """Where the robot was before, and where its last motion leads."""

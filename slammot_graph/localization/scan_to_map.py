@@ -265,6 +265,7 @@ class ScanToMap:
             has_points=has_points,
             has_local_map=bool(self.local_map.keyframes),
             has_odometry=scan.T_odom_base is not None,
+            is_adrift=self.matching.is_adrift,
         )
         if loss is not None:
             events.append(make_event("lost", scan.index, cause=loss.cause, n_scans=loss.n_scans))

@@ -36,6 +36,8 @@ class ScanClock:
     first_stamp : float
     step_s : float
         Since the scan before, as velocities count it [s].
+    leap_s : float
+        What the stamps have leapt forward beyond that [s], be it the clock that was set or a time without scans.
     is_regular : bool
         The latest step is that of the stamps.
     is_steady : bool
@@ -46,6 +48,7 @@ class ScanClock:
         self.now_s = 0.0
         self.first_stamp = 0.0
         self.step_s = FIRST_STEP_S
+        self.leap_s = 0.0
         self.is_regular = False
         self.is_steady = False
         self._was_usual = False
@@ -89,6 +92,7 @@ class ScanClock:
         # a long step after one that cannot be right makes up for it; another one is a gap
         is_gap = self.is_regular and step_s >= USUAL_RATIO * usual_s and was_regular
         self.step_s = step_s if is_usual or is_gap else usual_s
+        self.leap_s = 0.0 if self.is_regular or not step_s > 0.0 else step_s - usual_s
 
 
 def _tangent(

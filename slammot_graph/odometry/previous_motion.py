@@ -14,6 +14,9 @@ from slammot_graph.odometry.motion import Motion
 MAX_STEP_S = 1.0
 """The previous motion is not believed to go on for longer."""
 
+LEAP_M, LEAP_RAD = 3.0, 0.8
+"""At most; standard deviations of the motion while the stamps leap, as the robot may have driven on unseen."""
+
 LEVER_M, CAP_M = 2.0, 0.5
 """Errors of both clocks: a turn counts as its arc at this distance, and a single one for no more than this."""
 
@@ -141,6 +144,9 @@ class PreviousMotion:
         if step_s > USUAL_RATIO * clock.usual_s:
             var = var + np.square((step_s - clock.usual_s) * velocity.value)
             var[:2] = var[:2].max()  # it may have turned meanwhile
+        if elapsed_s is None and clock.leap_s > 0.0:
+            way_m = min(clock.leap_s * float(np.hypot(*velocity.value[:2])), LEAP_M)
+            var = var + np.square((way_m, way_m, LEAP_RAD * way_m / LEAP_M))
         return Motion(increment=min(step_s, MAX_STEP_S) * velocity.value, cov=np.diag(var))
 
     def learn(self, increment: FloatArray, cov: FloatArray, clock: ScanClock) -> None:

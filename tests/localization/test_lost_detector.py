@@ -98,3 +98,11 @@ def test_wheels_tell_of_a_drive_with_nothing_in_sight(detector: LostDetector) ->
     place = HERE + np.array([5.0, 0.0, 0.0])
     loss = detector.update(FAILED, place, has_points=True, has_local_map=True, has_odometry=True)
     assert loss == Loss(cause="blind drive", n_scans=N_LOST + 1)
+
+
+def test_a_match_that_fails_where_nothing_was_known_of_the_motion_is_a_loss_at_once(
+    detector: LostDetector,
+) -> None:
+    words = {"has_points": True, "has_local_map": True, "is_adrift": True}
+    assert detector.update(MATCH, HERE, **words) is None
+    assert detector.update(FAILED, HERE, **words) == Loss(cause="gap", n_scans=1)

@@ -215,3 +215,33 @@ def test_a_narrower_kernel_that_fails_is_replaced_by_the_usual_one() -> None:
     assert match.status == "converged"
     assert max(errors(STEP, state.T_local_base)) < 5e-3
     assert factors == [0.5, 1.0]  # from the prediction, and once more
+
+
+def adrift(T_local_base: FloatArray) -> MotionState:
+    """A state after a gap: within a metre or two, in any heading."""
+    wide = np.diag([1.0, 1.0, 0.5]) ** 2
+    return state_at(T_local_base)._replace(cov_prior=wide, cov_independent=wide, cov_motion=wide)
+
+
+def usual(matching: MapMatching) -> None:
+    """Let most returns agree from scan to scan."""
+    for _ in range(100):
+        matching.match(POINTS, IS_VALID, state_at(STEP))
+        matching.start_scan(LASER.origin_base, STEP)
+
+
+def test_after_a_gap_the_place_is_found_within_reach() -> None:
+    matching = matching_at(np.zeros(3))
+    usual(matching)
+    match, state = matching.match(POINTS, IS_VALID, adrift(STEP + np.array([1.2, -0.8, 1.3])))
+    assert matching.is_adrift and match.status == "converged"
+    assert max(errors(STEP, state.T_local_base)) < 5e-3
+
+
+def test_after_a_gap_what_few_returns_agree_with_is_no_match() -> None:
+    matching = matching_at(np.zeros(3))
+    usual(matching)
+    elsewhere = take_scan(np.array([0.5, -0.3, 0.2]), walls=CORRIDOR)
+    points, is_valid = elsewhere.points_base(), elsewhere.is_valid()
+    match, _ = matching.match(points, is_valid, adrift(STEP))
+    assert match.status == "failed" and "agree" in match.reason
