@@ -30,6 +30,7 @@ from slammot_graph.mapping.final_map import MapScan, render_final_map
 from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.pipeline_config import PipelineConfig
 from slammot_graph.tracking.base import ScanView
+from slammot_graph.tracking.clock import rising_times
 from slammot_graph.tracking.factory import make_tracker
 from slammot_graph.tracking.segment_config import SegmentTrackerConfig
 from slammot_graph.tracking.smoothing import SightingHistory, SmoothedTracks, smooth_tracks
@@ -178,7 +179,7 @@ class Pipeline:
         config = self.config.tracker
         if not isinstance(config, SegmentTrackerConfig) or config.smoothing is None:
             return None
-        stamps = np.array(self._stamps[: len(T_map_base)])
+        stamps = rising_times(np.array(self._stamps[: len(T_map_base)]), config.max_missed_s)
         sightings, extension = self._sightings.table(), None
         detector = self.config.detector
         if isinstance(detector, EllipseDetectorConfig) and self.detector.has_backward_pass:
