@@ -14,7 +14,10 @@ from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 
 CELL_M, FREE_P = 0.1, 0.3
 NEAR_CELLS = 1
-"""A point this near to one of the other map lies on it: both are bent by drift."""
+"""A point this near to one of the other map lies on it."""
+
+MAX_RANGE_M = 10.0
+"""Of the beams that are used: farther away a turn of half a degree, or a grazing beam, frees cells of a wall."""
 
 SQUARE_M = 0.5
 """Points in a square of this side count once: they are of one wall."""
@@ -65,16 +68,21 @@ class _Layout:
         grid = OccupancyGrid(GridConfig(resolution_m=CELL_M))
         points = []
         for number, (T, keyframe) in enumerate(placed):
-            ends = se2.transform(T, np.vstack([keyframe.laser_base, keyframe.points_base]))
+            away = keyframe.points_base - keyframe.laser_base
+            is_near = np.hypot(away[:, 0], away[:, 1]) < MAX_RANGE_M
+            ends = se2.transform(T, np.vstack([keyframe.laser_base, keyframe.points_base[is_near]]))
             points.append(ends[1:])
             all_beams = np.ones(len(ends) - 1, dtype=np.bool_)
             grid.update(number, ends[0], ends[1:], all_beams, all_beams)
         seen = grid.to_map()
         self._origin = seen.origin
-        self.points = _one_a_square(np.vstack(points), 0.5 * CELL_M)
-        rows, cols, _ = self._cells(self.points, seen.p_occupied.shape)
+        all_points = _one_a_square(np.vstack(points), 0.5 * CELL_M)
+        rows, cols, _ = self._cells(all_points, seen.p_occupied.shape)
+        # what other scans have seen through was somebody who walked on
+        is_there = seen.p_occupied[rows, cols] > 0.5
+        self.points = all_points[is_there]
         is_point = np.zeros(seen.p_occupied.shape, dtype=np.bool_)
-        is_point[rows, cols] = True
+        is_point[rows[is_there], cols[is_there]] = True
         self.is_near = maximum_filter(is_point, size=2 * NEAR_CELLS + 1)
         with np.errstate(invalid="ignore"):
             self.is_free = (seen.p_occupied < FREE_P) & ~self.is_near
