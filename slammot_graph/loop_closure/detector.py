@@ -93,7 +93,12 @@ class LoopCloser:
     def seek(self, source: Submap) -> tuple[ClosureAttempt, ...]:
         """Look all over the map for a local map, which may be unfinished; returns what was tried."""
         self.relocalization.unfinished = source
-        return () if self.finder is None else self._try(self.finder.find(source, self.graph.poses()))
+        if self.finder is None:
+            return ()
+        attempts = self._try(self.finder.find(source, self.graph.poses()))
+        while self.finder.is_searching:
+            attempts += self.search_on()
+        return attempts
 
     def request(self, source: Submap) -> None:
         """Let a local map be looked for all over the map, by `search_on` step by step."""
@@ -103,10 +108,14 @@ class LoopCloser:
 
     def search_on(self) -> tuple[ClosureAttempt, ...]:
         """Take the search for a local map a step further; returns what was tried."""
-        return () if self.finder is None else self._try(self.finder.go_on())
+        if self.finder is None:
+            return ()
+        n_before = len(self.finder.repeats)
+        found = self.finder.go_on()
+        return self._try(found, again=len(self.finder.repeats) > n_before)
 
-    def _try(self, found: list[Closure]) -> tuple[ClosureAttempt, ...]:
-        if not found or self.finder is None:
+    def _try(self, found: list[Closure], *, again: bool = False) -> tuple[ClosureAttempt, ...]:
+        if self.finder is None or not (found or (again and self.relocalization.closures)):
             return ()
         attempts = [self.relocalize(found, self.graph.poses())]
         if attempts[0].status == "accepted":
@@ -178,11 +187,22 @@ class LoopCloser:
     def relocalize(self, closures: list[Closure], nodes: FloatArray) -> ClosureAttempt:
         """Take closures between the old map and the component of a lost robot for hypotheses on where that lies.
 
-        Once enough hypotheses agree, the component is moved there and joined. `nodes` (n, 3) are the graph's poses.
+        Once what was seen speaks for one place, and for no other that looks like it, the component is moved there and
+        joined. `nodes` (n, 3) are the graph's poses.
         """
-        closure = closures[0]
-        places = self.relocalization.collect(closures, nodes)
-        place = self.relocalization.decide(places, self.submaps, nodes)
+        relocalization = self.relocalization
+        closure = closures[0] if closures else relocalization.closures[-1]
+        places = relocalization.collect(closures, nodes)[: self.config.relocalization.n_weighed]
+        place = relocalization.decide(places, self.submaps, nodes)
+        if not isinstance(place, str) and self.finder is not None:
+            seen = next((submap for submap in self.submaps if submap.number == place.target), None)
+            repeats = self.finder.repeats.get(place.target, np.empty((0, 3)))
+            if seen is not None and place.target not in self.finder.repeats:
+                self.finder.request_repeats(seen, nodes)
+                place = "whether the map repeats there is looked at first"
+            elif len(repeats):
+                others = [other for other in places if other is not place]
+                place = relocalization.decide([place, *others, *place.repeated(repeats)], self.submaps, nodes)
         if isinstance(place, str):
             return closure.attempt("waiting", f"where the lost robot is: {place}")
         agreeing, T_map_new = place.closures, place.T_map_new

@@ -25,6 +25,9 @@ SQUARE_M = 0.5
 REACH_M = 15.0
 """Keyframes of the map this near to one of the component show what it sees."""
 
+PRIOR_SQUARES = 50
+"""Of so many squares the share that is contrary in places that look alike is known beforehand."""
+
 
 class PlacedKeyframe(NamedTuple):
     """A keyframe and where it lies."""
@@ -47,6 +50,10 @@ class Evidence(NamedTuple):
         """
         agreeing, contrary = math.log((1.0 - p_same) / (1.0 - p_other)), math.log(p_same / p_other)
         return self.n_agreeing * agreeing + self.n_contrary * contrary
+
+    def share(self, p: float) -> float:
+        """Give the share of squares that are contrary, which is p before anything is seen."""
+        return (self.n_contrary + p * PRIOR_SQUARES) / (self.n_agreeing + self.n_contrary + PRIOR_SQUARES)
 
 
 def placed_keyframes(submaps: Sequence[Submap], T_map_anchors: FloatArray) -> list[PlacedKeyframe]:

@@ -6,8 +6,10 @@ whole component is laid there: what agrees and what the one has seen through of 
 against one that looks alike, and against any other place that is proposed. Until then the robot waits and drives on.
 """
 
+import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,7 +34,8 @@ class RelocalizationConfig(Checked):
     n_recent : int
         Hypotheses of so many latest local maps count: a place that only looked alike gets no more after a while.
     p_contrary_same, p_contrary_other : float
-        Share of the squares of wall that the other map contradicts, in the same place and in one that looks alike.
+        Share of the squares of wall that the other map contradicts, in the same place and in one that looks alike; less
+        where another place of the map is contradicted less.
     min_log_ratio : float
         Of the likelihoods: of the place against one that looks alike, and against the next best.
     n_weighed : int
@@ -86,11 +89,23 @@ class PossiblePlace:
         Different local maps among them.
     T_map_new : (3,) array
         By the latest of them; moves the new component, as it lies now, onto the old map.
+    T_repeat : (3,) array
+        Identity; of a place that only looks like the one that the closures are for, what moves that one there.
     """
 
     closures: list[Closure]
     n_agreeing: int
     T_map_new: FloatArray
+    T_repeat: FloatArray = field(default_factory=lambda: se2.IDENTITY)
+
+    @property
+    def target(self) -> int:
+        """Number of the local map of the old map that most of the closures are with."""
+        return Counter(closure.target.number for closure in self.closures).most_common(1)[0][0]
+
+    def repeated(self, moves: FloatArray) -> "list[PossiblePlace]":
+        """Give the places that transforms (k, 3) move this one to, for which no local map speaks."""
+        return [replace(self, n_agreeing=0, T_repeat=T) for T in moves]
 
 
 class Relocalization:
@@ -125,11 +140,11 @@ class Relocalization:
         Parameters
         ----------
         new : sequence of Closure
-            At least one, all of the same component.
+            All of the same component.
         nodes : (n, 3) array
             Optimised poses of the graph.
         """
-        if new[0].source.component != self._component:
+        if new and new[0].source.component != self._component:
             self._component, self.closures = new[0].source.component, []
         self.closures += new
         hypotheses = [hypothesis_of(collected, nodes) for collected in self.closures]
@@ -150,7 +165,7 @@ class Relocalization:
         Parameters
         ----------
         places : sequence of PossiblePlace
-            As of `collect`.
+            As of `collect`, and others that look alike.
         submaps : sequence of Submap
             All of them.
         nodes : (n, 3) array
@@ -159,15 +174,19 @@ class Relocalization:
         config = self.config
         if places[0].n_agreeing < config.min_agreeing:
             return f"{len(self.closures)} hypotheses so far"
-        ratios = [
-            self.weigh(place, submaps, nodes).log_ratio(config.p_contrary_same, config.p_contrary_other)
-            for place in places[: config.n_weighed]
-        ]
+        evidence = [self.weigh(place, submaps, nodes) for place in places]
+        ratios = [one.log_ratio(config.p_contrary_same, config.p_contrary_other) for one in evidence]
         best, *others = sorted(range(len(ratios)), key=lambda k: -ratios[k])
-        if places[best].n_agreeing < config.min_agreeing or ratios[best] < config.min_log_ratio:
-            return f"what was seen fits no place well, log likelihood ratio {ratios[best]:.1f}"
-        if others and ratios[best] - ratios[others[0]] < config.min_log_ratio:
-            return f"two places fit alike, log likelihood ratio {ratios[best] - ratios[others[0]]:.1f}"
+        # how much places contradict that look alike in this map
+        p_other = min(
+            [config.p_contrary_other, *(evidence[k].share(config.p_contrary_other) for k in others)]
+        )
+        lead = ratios[best] - max([ratios[k] for k in others], default=-math.inf)
+        if p_other <= config.p_contrary_same or lead < config.min_log_ratio:
+            return f"{len(places)} places fit alike, log likelihood ratio {lead:.1f}"
+        ratio = evidence[best].log_ratio(config.p_contrary_same, p_other)
+        if places[best].n_agreeing < config.min_agreeing or ratio < config.min_log_ratio:
+            return f"what was seen tells too little, or fits no place well, log likelihood ratio {ratio:.1f}"
         return places[best]
 
     def weigh(self, place: PossiblePlace, submaps: Sequence[Submap], nodes: FloatArray) -> Evidence:
@@ -181,7 +200,10 @@ class Relocalization:
         old = [submap for submap in submaps if submap.component in self.joined]
         anchors = nodes[[submap.anchor for submap in own]]
         from_anchors = np.array([closure.source.anchor for closure in place.closures])
-        T_map_new = np.array([hypothesis_of(closure, nodes).T_map_new for closure in place.closures])
+        T_map_new = se2.compose(
+            place.T_repeat[None, :],
+            np.array([hypothesis_of(closure, nodes).T_map_new for closure in place.closures]),
+        )
         nearest = [int(np.argmin(np.abs(from_anchors - submap.anchor))) for submap in own]
         return weigh_place(
             placed_keyframes(old, nodes[[submap.anchor for submap in old]]),
