@@ -30,7 +30,10 @@ RATE_HZ, MOVED, SECOND = 5.0, 0.2, 1000
 FIRST_JUDGED_SEED = 3
 """What counts as changed was chosen on the seeds before."""
 
-N_STARTS, N_STARTS_A_CELL = 50, 10
+N_STARTS, N_STARTS_A_CELL = 50, 5
+BUILDINGS = {"office": (1.0, 0.5), "hall": (1.0,), "building": (1.0, 0.5)}
+"""Of the starts, and the shares of the first drive that are mapped: many start outside of a half."""
+
 SEEN_M, IN_TIME_M, MOST_WAY_M, N_AFTER = 1.5, 5.0, 40.0, 150
 """Way within `SEEN_M` of the path of the first part counts, and a robot found after `IN_TIME_M` of it is so in time;
 the search is given up after `MOST_WAY_M` of any way. So many scans are judged once it is found."""
@@ -89,15 +92,16 @@ def recorded_parts(path: str, share: float) -> Parts:
 
 
 @cache
-def simulated_parts(world: str, seed: int) -> Parts:
-    """Two drives through a simulated building."""
+def simulated_parts(world: str, seed: int, share: float = 1.0) -> Parts:
+    """Two drives through a simulated building, of which a share of the first is mapped."""
     scenario = replace(scenario_named(world), rate_hz=RATE_HZ)
     first, second = simulate(scenario, seed=seed), simulate(scenario, seed=seed + SECOND)
-    saved, T_first = _run_of(list(first))
+    n = int(share * first.n_scans)
+    saved, T_first = _run_of(list(first)[:n])
     return Parts(
         saved=saved,
         T_first=T_first,
-        T_seen=first.T_world_base,
+        T_seen=first.T_world_base[:n],
         scans=list(second),
         T_second=second.T_world_base,
     )
@@ -147,7 +151,7 @@ def halves_cell(path: str, relations: str, share: float) -> Scores:
 
 def starts_cell(path: str | None, share: float, world: str, seed: int, first: int, n: int) -> Scores:
     """Start at random scans of the second part and localize without a guess."""
-    parts = simulated_parts(world, seed) if path is None else recorded_parts(path, share)
+    parts = simulated_parts(world, seed, share) if path is None else recorded_parts(path, share)
     rng = np.random.default_rng(seed)
     n_last = len(parts.scans) - N_AFTER - 100
     starts = np.sort(rng.integers(0, n_last, N_STARTS))[first : first + n]
@@ -264,15 +268,18 @@ def _halves(options: Options) -> Table:
 
 def _starts(options: Options) -> Iterator[Table]:
     logs = {} if options.quick else LOGS
-    buildings = ("lab",) if options.quick else ("office", "hall", "building")
+    parts = list(logs.items())
+    buildings = {"lab": (1.0,)} if options.quick else BUILDINGS
+    parts += [(name, share) for name, shares in buildings.items() for share in shares]
     rows = []
-    for name in (*logs, *buildings):
+    for name, share in parts:
         path = str(options.recorded(f"{name}.clf.bz2")) if name in logs else None
+        label = name if name in logs or share == 1.0 else f"{name}, {100 * share:.0f}% mapped"
         n = options.seeds or (2 if options.quick else N_STARTS)
         cells = {
-            f"{name} {first}": {
+            f"{label} {first}": {
                 "path": path,
-                "share": logs.get(name, 0.0),
+                "share": share,
                 "world": name,
                 "seed": FIRST_JUDGED_SEED,
                 "first": first,
@@ -281,7 +288,7 @@ def _starts(options: Options) -> Iterator[Table]:
             for first in range(0, n, N_STARTS_A_CELL)
         }
         scores = run_cells("saved_maps_starts", starts_cell, cells, options)
-        rows.append(_starts_row(name, [one for cell in scores.values() for one in cell["starts"]]))
+        rows.append(_starts_row(label, [one for cell in scores.values() for one in cell["starts"]]))
     columns = ("log or world", "starts", "inside", "found in time", "found later", "wrong", "way [m]")
     yield Table(
         heading="Started anywhere, no guess",

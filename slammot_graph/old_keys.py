@@ -67,8 +67,11 @@ DROPPED = (
     "localizer.jump_inlier_gain",
     "localizer.point_to_line.max_nis",
     "localizer.closure.point_to_line.max_nis",
+    "localizer.closure.relocalization.min_agreeing_alone",
+    "localizer.closure.relocalization.lead",
 )
-"""Paths that were of release 0.1 or lay beside its keys: matches are no longer refused for their innovation."""
+"""Paths that were of release 0.1 or lay beside its keys: matches are no longer refused for their innovation, and a lost
+robot's place is decided by what was seen there, not by how many local maps agree."""
 
 _LOCALIZERS = {"none": DeadReckoningConfig, "scan-to-scan": ScanToScanConfig, "scan-to-map": ScanToMapConfig}
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from slammot_graph.core.results import Health, MatchStatus, StepResult
+from slammot_graph.core.results import FOUND_AGAIN, Health, MatchStatus, StepResult
 from slammot_graph.diagnosis.consistency import InnovationConsistency
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
 from slammot_graph.diagnosis.odometry import OdometryStatistics
@@ -25,6 +25,8 @@ class RunStatistics:
         Scans by their state.
     n_lost : int
         How often the robot was lost.
+    n_apart : int
+        How often it was and has not been found again: where that part of the run lies in the map is not known.
     n_contradictions : int
         How often match and odometry began to contradict each other.
     first_contradiction : int or None
@@ -41,7 +43,7 @@ class RunStatistics:
         self.consistency = InnovationConsistency()
         self.matches: Counter[MatchStatus | str] = Counter()
         self.health: Counter[Health] = Counter()
-        self.n_lost = 0
+        self.n_lost = self.n_apart = 0
         self.n_contradictions = 0
         self.first_contradiction: int | None = None
         self.blind: list[tuple[int, str]] = []
@@ -55,7 +57,11 @@ class RunStatistics:
         self.matches["none" if step.match is None else step.match.status] += 1
         self.health[step.health] += 1
         for event in step.events:
-            self.n_lost += event.kind == "lost"
+            if event.kind == "lost":
+                self.n_lost += 1
+                self.n_apart += event.data["cause"] != "blind drive"
+            if event.kind == "closure accepted" and str(event.data["reason"]).startswith(FOUND_AGAIN):
+                self.n_apart -= self.n_apart > 0
             if event.kind == "laser blind":
                 self.blind.append((event.scan, event.data["cause"]))
             if event.kind == "contradiction":

@@ -147,14 +147,19 @@ def _of_matches(statistics: RunStatistics, *, may_contradict: bool) -> list[Find
             )
         )
     if statistics.n_lost:
-        times = n_times(statistics.n_lost)
+        times, n_apart = n_times(statistics.n_lost), statistics.n_apart
+        apart = (
+            f"has not been found again {n_times(n_apart)}: where what it saw there lies in the map is not known"
+            if n_apart
+            else "found again; the map before and after hangs together where a loop closed"
+        )
         found.append(
             Finding(
                 kind="lost",
                 severity="warning",
-                cause=f"the robot was lost {times}: the map before and after hangs together only where a loop closed",
-                remedy="look at the events where it was lost, and drive back to known places",
-                data={"n_lost": statistics.n_lost},
+                cause=f"the robot was lost {times}, and {apart}",
+                remedy="look at the events where it was lost, and drive back to known places that look like no others",
+                data={"n_lost": statistics.n_lost, "n_apart": n_apart},
             )
         )
     if statistics.n_contradictions and may_contradict:

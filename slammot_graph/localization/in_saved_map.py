@@ -2,7 +2,7 @@
 
 from array import array
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from slammot_graph.core.events import make_event
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.localization.base import CommitResult, Estimate, FinalEstimate
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.graph_insertion import NOT_OF_THIS_RUN, GraphInsertion
@@ -31,6 +31,12 @@ TURN_M_PER_RAD = 1.5
 
 MIN_AGREEMENT = 0.7
 """Where fewer of the points agree with the saved map, the robot's own keyframes are added."""
+
+REACH_M = 6.0
+"""Most often enough keyframes are within this, turns counted."""
+
+RENEWED_AFTER = 2.0
+"""So many times the motion between two keyframes, and the local map is made anew: its keyframes reach some metres."""
 
 OWN_REACH_M = 4.0
 """The robot's own keyframes are forgotten farther away."""
@@ -71,14 +77,31 @@ class KeyframesOfMap:
         offset = se2.between(T_map_base[None, :], self.T_map_keyframes)
         far = np.hypot(offset[:, 0], offset[:, 1]) + TURN_M_PER_RAD * np.abs(offset[:, 2])
         chosen: list[int] = []
-        for k in np.argsort(far, kind="stable").tolist():
-            apart = se2.between(self.T_map_keyframes[k][None, :], self.T_map_keyframes[chosen])
-            is_like = (np.hypot(apart[:, 0], apart[:, 1]) < APART_M) & (np.abs(apart[:, 2]) < APART_RAD)
-            if not is_like.any():
-                chosen.append(k)
-                if len(chosen) == n:
-                    break
+        for reach_m in (REACH_M, np.inf):
+            chosen = self._unlike(np.argsort(far, kind="stable")[: np.count_nonzero(far < reach_m)], n)
+            if len(chosen) == n:
+                break
         return chosen
+
+    def _unlike(self, left: IntArray, n: int) -> list[int]:
+        """The first n of some keyframes of which none is like one before."""
+        chosen: list[int] = []
+        while len(left) and len(chosen) < n:
+            chosen.append(int(left[0]))
+            x, y, theta = (self.T_map_keyframes[left] - self.T_map_keyframes[left[0]]).T
+            is_like = (x**2 + y**2 < APART_M**2) & (np.abs(se2.wrap_angle(theta)) < APART_RAD)
+            is_like[0] = True
+            left = left[~is_like]
+        return chosen
+
+
+@dataclass(eq=False)
+class _Since:
+    """Where the latest keyframe was taken and the local map renewed, and of which saved keyframes alone it is made."""
+
+    T_local_keyframe: FloatArray = field(default_factory=lambda: se2.IDENTITY)
+    T_local_renewed: FloatArray = field(default_factory=lambda: se2.IDENTITY)
+    in_local_map: list[int] = field(default_factory=list)
 
 
 class InSavedMap(ScanToMap):
@@ -101,7 +124,7 @@ class InSavedMap(ScanToMap):
         self._known: KeyframesOfMap | None = None
         self._own: deque[tuple[Keyframe, FloatArray]] = deque(maxlen=N_OWN)
         self._before: list[Keyframe] = []  # with which the robot was found, until the next match
-        self._T_local_keyframe: FloatArray = se2.IDENTITY
+        self._since = _Since()
         self._sure_at: tuple[float, int] = (0.0, 0)
         self._poses, self._covs = array("d"), array("f")
         self._parts: list[tuple[int, FloatArray | None]] = [(0, None)]
@@ -167,6 +190,7 @@ class InSavedMap(ScanToMap):
             ]
             self._known = KeyframesOfMap(joined, saved.nodes)
         self.is_found = True
+        self._since.in_local_map = []
         self._own.clear()
         self._before = self.local_map.keyframes[-N_OWN:]
         self._sure_at = self.propagation.path_m, scan
@@ -197,21 +221,33 @@ class InSavedMap(ScanToMap):
                 self._own.extend((keyframe, cov) for keyframe in self._before)
                 self._renew_local_map()
             self._before = []
-        distance_m, turn_rad = se2.distance(self._T_local_keyframe, T_local_base)
+        distance_m, turn_rad = se2.distance(self._since.T_local_keyframe, T_local_base)
         config = self.local_map.config
         is_keyframe = distance_m > config.keyframe_distance_m or turn_rad > config.keyframe_rotation_rad
         if is_keyframe:
             self.propagation.start_keyframe()
+            self._since.T_local_keyframe = T_local_base
+            n_own = len(self._own)
             if match is not None and match.status != "failed" and match.inlier_ratio < MIN_AGREEMENT:
                 own = make_keyframe(
                     NO_NODE, T_local_base, points_base, is_static, scan.laser, config, scan.origins_base
                 )
                 self._own.append((own, self.propagation.state.cov_relative))
-            self._renew_local_map()
+            if len(self._own) > n_own or self._has_left():
+                self._renew_local_map()
         self.propagation.commit(self._matched_pose())
         is_known = not self._own
         return CommitResult(
             is_keyframe=is_keyframe, health=None if is_known else "degenerate", events=tuple(events)
+        )
+
+    def _has_left(self) -> bool:
+        """Tell whether the robot has gone on since the local map was made."""
+        distance_m, turn_rad = se2.distance(self._since.T_local_renewed, self.propagation.state.T_local_base)
+        config = self.local_map.config
+        return (
+            distance_m > RENEWED_AFTER * config.keyframe_distance_m
+            or turn_rad > RENEWED_AFTER * config.keyframe_rotation_rad
         )
 
     def _unsure_for(self, scan: int) -> tuple[float, int]:
@@ -228,20 +264,33 @@ class InSavedMap(ScanToMap):
 
     def _renew_local_map(self) -> None:
         assert self._known is not None
-        T_local_base = self._T_local_keyframe = self.propagation.state.T_local_base
-        T_local_map = se2.inverse(self.T_map_local)
-        chosen = [
-            replace(
-                self._known.keyframes[k],
-                T_local_base=se2.compose(T_local_map, self._known.T_map_keyframes[k]),
-            )
-            for k in self._known.around(se2.compose(self.T_map_local, T_local_base))
-        ]
+        T_local_base = self._since.T_local_keyframe = self.propagation.state.T_local_base
+        self._since.T_local_renewed = T_local_base
+        numbers = self._known.around(se2.compose(self.T_map_local, T_local_base))
         near = [one for one in self._own if se2.distance(one[0].T_local_base, T_local_base)[0] < OWN_REACH_M]
         self._own = deque(near, maxlen=N_OWN)
-        self.local_map.start([*chosen, *(keyframe for keyframe, _ in near)])
-        of_map = np.zeros((len(chosen), 3, 3))
+        new = [k for k in numbers if k not in self._since.in_local_map]
+        if (
+            not near
+            and self._since.in_local_map
+            and len(self._since.in_local_map) + len(new) <= N_KEYFRAMES + N_OWN
+        ):
+            self.local_map.extend(self._of_map(new))
+            self._since.in_local_map += new
+            return
+        self.local_map.start([*self._of_map(numbers), *(keyframe for keyframe, _ in near)])
+        of_map = np.zeros((len(numbers), 3, 3))
         self.local_map.set_covariances(np.concatenate([of_map, *(cov[None] for _, cov in near)]))
+        self._since.in_local_map = [] if near else numbers
+
+    def _of_map(self, numbers: list[int]) -> list[Keyframe]:
+        """Keyframes of the saved map in the local frame."""
+        assert self._known is not None
+        known, T_local_map = self._known, se2.inverse(self.T_map_local)
+        return [
+            replace(known.keyframes[k], T_local_base=se2.compose(T_local_map, known.T_map_keyframes[k]))
+            for k in numbers
+        ]
 
     def _leave(self) -> None:
         """Look for the robot again, with nothing known of the motion since."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import mahalanobis2
-from slammot_graph.core.results import ClosureAttempt, GraphEdge
+from slammot_graph.core.results import FOUND_AGAIN, ClosureAttempt, GraphEdge
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt
@@ -48,7 +48,7 @@ class LoopCloser:
     blind_drives : list of (int, (3, 3) array)
         Nodes to which the odometry alone leads, with its covariance, right perturbation (body frame of the node).
     finder : PlaceFinder or None
-        Looks all over a saved map that the run started from.
+        Looks all over the map: a saved one that the run started from, or the run's own while the robot is lost.
     places : KnownPlaces
     first_nodes : dict of int to int
         First node of a component, where it is not that of its first local map.
@@ -82,12 +82,7 @@ class LoopCloser:
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses(), initial_pose)
 
     def look_all_over(self) -> None:
-        """In a run from a saved map, look for the component that begins now, of a lost robot, in all that is known.
-
-        A run without one is not: most of its building it has not seen, and a place that looks alike would win there.
-        """
-        if self.finder is None:
-            return
+        """Look for the component that begins now, of a lost robot, in all that is known."""
         targets = [submap for submap in self.submaps if submap.component in self.relocalization.joined]
         self.finder = PlaceFinder(self.verifier, targets, self.graph.poses())
 
@@ -97,19 +92,30 @@ class LoopCloser:
 
     def seek(self, source: Submap) -> tuple[ClosureAttempt, ...]:
         """Look all over the map for a local map, which may be unfinished; returns what was tried."""
-        return () if self.finder is None else self._try(self.finder.find(source, self.graph.poses()))
+        self.relocalization.unfinished = source
+        if self.finder is None:
+            return ()
+        attempts = self._try(self.finder.find(source, self.graph.poses()))
+        while self.finder.is_searching:
+            attempts += self.search_on()
+        return attempts
 
     def request(self, source: Submap) -> None:
         """Let a local map be looked for all over the map, by `search_on` step by step."""
+        self.relocalization.unfinished = source
         if self.finder is not None:
             self.finder.request(source, self.graph.poses())
 
     def search_on(self) -> tuple[ClosureAttempt, ...]:
         """Take the search for a local map a step further; returns what was tried."""
-        return () if self.finder is None else self._try(self.finder.go_on())
+        if self.finder is None:
+            return ()
+        n_before = len(self.finder.repeats)
+        found = self.finder.go_on()
+        return self._try(found, again=len(self.finder.repeats) > n_before)
 
-    def _try(self, found: list[Closure]) -> tuple[ClosureAttempt, ...]:
-        if not found or self.finder is None:
+    def _try(self, found: list[Closure], *, again: bool = False) -> tuple[ClosureAttempt, ...]:
+        if self.finder is None or not (found or (again and self.relocalization.closures)):
             return ()
         attempts = [self.relocalize(found, self.graph.poses())]
         if attempts[0].status == "accepted":
@@ -181,14 +187,25 @@ class LoopCloser:
     def relocalize(self, closures: list[Closure], nodes: FloatArray) -> ClosureAttempt:
         """Take closures between the old map and the component of a lost robot for hypotheses on where that lies.
 
-        Once enough hypotheses agree, the component is moved there and joined. `nodes` (n, 3) are the graph's poses.
+        Once what was seen speaks for one place, and for no other that looks like it, the component is moved there and
+        joined. `nodes` (n, 3) are the graph's poses.
         """
-        closure = closures[0]
-        consensus = self.relocalization.collect(closures, nodes)
-        if consensus is None:
-            n_hypotheses = len(self.relocalization.closures)
-            return closure.attempt("waiting", f"where the lost robot is: {n_hypotheses} hypotheses so far")
-        agreeing, T_map_new = consensus
+        relocalization = self.relocalization
+        closure = closures[0] if closures else relocalization.closures[-1]
+        places = relocalization.collect(closures, nodes)[: self.config.relocalization.n_weighed]
+        place = relocalization.decide(places, self.submaps, nodes)
+        if not isinstance(place, str) and self.finder is not None:
+            seen = next((submap for submap in self.submaps if submap.number == place.target), None)
+            repeats = self.finder.repeats.get(place.target, np.empty((0, 3)))
+            if seen is not None and place.target not in self.finder.repeats:
+                self.finder.request_repeats(seen, nodes)
+                place = "whether the map repeats there is looked at first"
+            elif len(repeats):
+                others = [other for other in places if other is not place]
+                place = relocalization.decide([place, *others, *place.repeated(repeats)], self.submaps, nodes)
+        if isinstance(place, str):
+            return closure.attempt("waiting", f"where the lost robot is: {place}")
+        agreeing, T_map_new = place.closures, place.T_map_new
         component = closure.source.component
         anchors = [submap.anchor for submap in self.submaps if submap.component == component]
         first = min([*anchors, *(one.source.anchor for one in agreeing)])
@@ -198,7 +215,7 @@ class LoopCloser:
         self._add_edges(list({(one.source.anchor, one.target.anchor): one for one in agreeing}.values()))
         self.graph.rebuild(nodes)
         self.relocalization.join()
-        return closure.attempt("accepted", f"found again, {len(agreeing)} closures agree")
+        return closure.attempt("accepted", f"{FOUND_AGAIN}, {len(agreeing)} closures agree")
 
     def reject_outliers(self) -> list[ClosureAttempt]:
         """Reject the closure that the rest of the graph contradicts most, until none is; tells which."""

@@ -46,10 +46,13 @@ class _Search:
         Different places among them so far.
     candidate : (Submap, (3,) array) or None
         The one to be verified next.
+    is_of_map : bool
+        The local map is one of those that are looked at: it is looked for where it does not lie.
     """
 
     source: Submap
     nodes: FloatArray
+    is_of_map: bool = False
     n_looked_at: int = 0
     best: float = 0.0
     found: list[tuple[float, Submap, FloatArray]] = field(default_factory=list)
@@ -71,6 +74,8 @@ class PlaceFinder:
         a search is the quicker the better a place is known.
     initial_pose : (3,) array or None
         About where the component that is looked for begins, map frame.
+    repeats : dict of int to (k, 3) array
+        Number of a local map of the map, and the transforms that move it onto other places which look like its own.
     """
 
     def __init__(
@@ -83,6 +88,7 @@ class PlaceFinder:
         self.verifier = verifier
         self.targets = covering(submaps, nodes)
         self.initial_pose = initial_pose
+        self.repeats: dict[int, FloatArray] = {}
         self._search: _Search | None = None
         self._next: _Search | None = None
         verifier.n_prepared = max(verifier.n_prepared, min(len(self.targets) + 2, 512))
@@ -100,6 +106,12 @@ class PlaceFinder:
         else:
             self._next = search
 
+    def request_repeats(self, source: Submap, nodes: FloatArray) -> None:
+        """Let a local map of the map be looked for elsewhere in it, before all else, for `repeats`."""
+        if self._search is not None:
+            self._next = self._search
+        self._search = _Search(source, nodes, is_of_map=True)
+
     def forget(self) -> None:
         """Look for nothing any more."""
         self._search = self._next = None
@@ -110,7 +122,18 @@ class PlaceFinder:
         if search is None or not self._advance(search):
             return []
         self._search, self._next = self._next, None
+        if search.is_of_map:
+            self.repeats[search.source.number] = self._moves(search)
+            return []
         return search.closures
+
+    def _moves(self, search: _Search) -> FloatArray:
+        """(k, 3) transforms that move a local map of the map onto the places that were found, less its own."""
+        config = self.verifier.config.relocalization
+        T = np.array([hypothesis_of(closure, search.nodes).T_map_new for closure in search.closures])
+        lies = search.nodes[search.source.anchor]
+        moved = se2.compose(T.reshape(-1, 3), lies[None, :])
+        return T.reshape(-1, 3)[~_is_near(moved, lies, config.same_place_m, config.same_place_rad)]
 
     def find(self, source: Submap, nodes: FloatArray) -> list[Closure]:
         """Give the closures of a local map with all places of the map that agree with it about as well as the best.
@@ -145,7 +168,9 @@ class PlaceFinder:
         for target in self.targets[search.n_looked_at :]:
             centre = np.array([*target.centre, 0.0])
             needed = max(config.min_score, config.max_ambiguity * search.best)
-            score, pose = self.verifier.best_pose(target, search.source, centre, _WINDOW, needed)
+            lies = se2.between(search.nodes[target.anchor], search.nodes[search.source.anchor])
+            excluded = lies if search.is_of_map else None
+            score, pose = self.verifier.best_pose(target, search.source, centre, _WINDOW, needed, excluded)
             if score > 0.0:
                 search.best = max(search.best, score)
                 search.found.append((score, target, pose))
@@ -182,8 +207,11 @@ class PlaceFinder:
 
     def _verify(self, search: _Search, target: Submap, pose: FloatArray) -> None:
         search.candidate = None
-        closure = self.verifier.verify(target, search.source, pose, _WINDOW)
-        if isinstance(closure, Closure) and self._is_expected(closure, search.nodes):
+        if search.is_of_map:
+            closure = self.verifier.check(target, search.source, pose)
+        else:
+            closure = self.verifier.verify(target, search.source, pose, _WINDOW)
+        if isinstance(closure, Closure) and (search.is_of_map or self._is_expected(closure, search.nodes)):
             search.closures.append(closure)
 
     def _is_expected(self, closure: Closure, nodes: FloatArray) -> bool:

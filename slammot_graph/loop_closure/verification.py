@@ -81,18 +81,25 @@ class Verifier:
         window : SearchWindow
         """
         start = self._find_start(self.prepare(target), source, T_predicted, window)
-        return start if isinstance(start, str) else self._check(target, source, start)
+        return start if isinstance(start, str) else self.check(target, source, start)
 
     def best_pose(
-        self, target: Submap, source: Submap, centre: FloatArray, window: SearchWindow, min_score: float
+        self,
+        target: Submap,
+        source: Submap,
+        centre: FloatArray,
+        window: SearchWindow,
+        min_score: float,
+        excluded: FloatArray | None = None,
     ) -> tuple[float, FloatArray]:
         """Give the best pose (3,) of a local map around one (3,) of another, with its share of the best possible score.
 
-        The share is 0 where that is not above `min_score`; the search is the quicker the higher that is.
+        The share is 0 where that is not above `min_score`; the search is the quicker the higher that is. Poses about
+        one (3,) that is `excluded` do not count.
         """
         prepared, points, pose = self.prepare(target), self._search_points(source, window), np.empty(3)
         most = prepared.config.occupied_score * len(points)
-        return self._search(prepared, points, centre, window, None, min_score * most, pose) / most, pose
+        return self._search(prepared, points, centre, window, excluded, min_score * most, pose) / most, pose
 
     def prepare(self, submap: Submap) -> PreparedSubmap:
         """Give a submap's grids, from a small store of the latest ones used."""
@@ -102,7 +109,7 @@ class Verifier:
             self._prepared.popitem(last=False)
         return prepared
 
-    def _check(self, target: Submap, source: Submap, start: FloatArray) -> Closure | str:
+    def check(self, target: Submap, source: Submap, start: FloatArray) -> Closure | str:
         """Match from a pose (3,) and check; the reason if they do not agree."""
         prepared = self.prepare(target)
         match = self._match(target, source, start)

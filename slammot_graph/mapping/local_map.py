@@ -209,6 +209,12 @@ class LocalMap:
         for keyframe in self.keyframes:
             self._insert(keyframe)
 
+    def extend(self, keyframes: list[Keyframe]) -> None:
+        """Take in keyframes that lie as surely as the anchor; however many there are, no new map takes over."""
+        self.keyframes += keyframes
+        for keyframe in keyframes:
+            self._insert(keyframe)
+
     def set_covariances(self, covs_anchor: FloatArray) -> None:
         """Set the (k, 3, 3) covariances of the k keyframes relative to the anchor (body frames)."""
         self.keyframe_roots = np.array([_root(cov) for cov in covs_anchor])

@@ -5,8 +5,10 @@ from typing import Any, get_args
 
 import pytest
 
+from slammot_graph.core.events import make_event
 from slammot_graph.core.findings import FindingKind
 from slammot_graph.core.odometry_report import Estimated, OdometryReport
+from slammot_graph.core.results import FOUND_AGAIN
 from slammot_graph.diagnosis import RunStatistics, diagnose, limits_of
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.health import HealthMonitor
@@ -111,6 +113,19 @@ def test_a_robot_that_was_lost() -> None:
     assert "lost" in kinds
     assert "lost" in result.health
     assert result.health.shape == (60,)
+
+
+def test_a_robot_that_is_not_found_again_is_told() -> None:
+    (step,) = Run(drive(1))
+    lost = make_event("lost", 0, cause="kidnapped", n_scans=10)
+    found = make_event(
+        "closure accepted", 0, target_node=1, source_node=2, reason=f"{FOUND_AGAIN}, 3 closures agree"
+    )
+    for events, text in (([lost], "has not been found again once"), ([lost, found], "found again; the map")):
+        statistics = RunStatistics(limits_of(get_method("graph").config))
+        statistics.add(replace(step, events=tuple(events)))
+        (finding,) = (one for one in diagnose(statistics, OdometryReport(), []) if one.kind == "lost")
+        assert text in finding.cause
 
 
 def test_odometry_that_never_moves() -> None:

@@ -136,6 +136,19 @@ def test_no_place_is_found_where_rooms_repeat(room: int) -> None:
     assert (distance_m < 0.2).all()  # none, or the right one
 
 
+@cache
+def half_hotel_map() -> SavedMap:
+    saved = Run(hotel_log((0, 1), 0)).complete().saved_map
+    assert saved is not None
+    return saved
+
+
+@pytest.mark.parametrize("rooms", [(4, 5), (5, 4)])
+def test_no_place_is_found_outside_of_the_map_where_rooms_repeat(rooms: tuple[int, int]) -> None:
+    with Pipeline(PipelineConfig(), MapStart(saved=half_hotel_map(), localize=True)) as pipeline:
+        assert all(pipeline.step(scan).health == "lost" for scan in hotel_log(rooms, sum(rooms)))
+
+
 @pytest.mark.parametrize("is_told", [True, False])
 def test_a_robot_that_is_lost_is_looked_for_again(is_told: bool) -> None:
     """Kidnapped to another place of the ring while it localizes; the wheels tell of it, but badly, or stand still."""

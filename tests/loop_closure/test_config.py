@@ -72,4 +72,4 @@ def test_parts_are_read_from_plain_values() -> None:
     config = LoopClosureConfig()
     changed = replace(config, submap=SubmapConfig(cell_m=0.2), consistency=ConsistencyConfig(std_m=0.1))
     assert from_plain(to_plain(changed), config) == changed
-    assert from_plain({"relocalization": {"lead": 2.0}}, config).relocalization.lead == 2.0
+    assert from_plain({"relocalization": {"n_recent": 5}}, config).relocalization.n_recent == 5

@@ -79,6 +79,18 @@ def test_points_of_all_keyframes_lie_on_the_walls_and_are_thinned() -> None:
     assert distance.max() < 1e-9
 
 
+def test_a_map_that_is_extended_shows_what_one_of_all_its_keyframes_does() -> None:
+    config = LocalMapConfig(max_keyframes=3, n_overlap=1)
+    keyframes = [keyframe(k, np.array([0.3 * k, 0.0, 0.1 * k]), config) for k in range(5)]
+    whole, extended = LocalMap(config), LocalMap(config)
+    whole.start(keyframes)
+    extended.start(keyframes[:2])
+    extended.extend(keyframes[2:])
+    assert extended.keyframes == keyframes  # however many they are
+    np.testing.assert_array_equal(extended.current_points(), whole.current_points())
+    np.testing.assert_array_equal(extended.keyframe_roots, whole.keyframe_roots)
+
+
 def test_starting_with_nothing_empties_the_map() -> None:
     config = LocalMapConfig()
     local_map = LocalMap(config)
