@@ -160,6 +160,10 @@ def compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray)
     -------
     (..., 3, 3) covariance in body frame b: ``A cov_a A' + cov_b`` with ``A = Ad(inverse(T_a_b))``.
     """
+    if cov_a.ndim == 2 and T_a_b.ndim == 1 and cov_b.ndim == 2:
+        out = np.empty((3, 3))
+        _compound_covariances(cov_a[None], T_a_b, cov_b, out[None])
+        return out
     if T_a_b.ndim == 1 and cov_b.ndim == 2 and cov_a.ndim <= 3:
         out = np.empty(cov_a.shape)
         _compound_covariances(cov_a.reshape(-1, 3, 3), T_a_b, cov_b, out.reshape(-1, 3, 3))

@@ -89,22 +89,25 @@ class ScanHistory(Sequence[ScanRecord]):
         is_doubtful: bool,
     ) -> None:
         """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`."""
-        # of several lasers, each is among the latest few
-        laser = next((k for k, x in enumerate(self._lasers[-1:-9:-1], start=1) if x is scan.laser), 0)
-        laser = len(self._lasers) - laser
-        if laser == len(self._lasers):
-            self._lasers.append(scan.laser)
+        laser = self._number_of(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
         _kernels.pack_masks(is_valid, is_moving, reason, on_objects, masks)
         cov = cov_relative.ravel().tolist()
         n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
-        packed = b"".join(
-            (head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes(), _packed_sweep(scan))
-        )
-        self._places.append(self._spool.add(packed))
+        packed = head + scan.ranges.astype(np.float32).tobytes() + masks.tobytes()
+        self._places.append(self._spool.add(packed if scan.sweep is None else packed + _packed_sweep(scan)))
         self.stamps.append(scan.stamp)
         self.laser_numbers.append(scan.laser.number)
+
+    def _number_of(self, laser: LaserModel) -> int:
+        """Place of a laser in the list; of several, each is among the latest few."""
+        n = len(self._lasers)
+        for k in range(n - 1, max(n - 9, -1), -1):
+            if self._lasers[k] is laser:
+                return k
+        self._lasers.append(laser)
+        return n
 
     @overload
     def __getitem__(self, k: int) -> ScanRecord: ...

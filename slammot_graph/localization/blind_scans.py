@@ -110,12 +110,12 @@ class _OneLaser:
             return False
         limit = SHRUNK_M + SHRUNK_M_S * (stamp - before.stamp)
         n, was = len(ranges), before.ranges
-        n_shorter = 0
+        n_longer = 0
         for share in _LOOKED_AT:
             k = int(share * n)
-            n_shorter += ranges.item(k) < was.item(k) - limit
-        if n_shorter < 3:
-            return False
+            n_longer += not ranges.item(k) < was.item(k) - limit
+            if n_longer == 3:
+                return False
         is_seen = scan.is_valid()
         was_seen = np.isfinite(was) & (was > 0.0) & (was < NO_RETURN_FRACTION * scan.laser.range_max)
         is_shorter = is_seen & was_seen & (ranges < was - limit) & (ranges < NEARER * was)

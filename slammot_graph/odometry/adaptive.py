@@ -7,6 +7,7 @@ no robot can make since the scan before is never used.
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -240,10 +241,7 @@ class AdaptiveOdometry:
             (scale_rad if below_rad == 1.0 else below_rad),
         )
         if scale_m != 1.0 or scale_rad != 1.0:
-            cov[:2, :2] *= scale_m * scale_m
-            cov[2, 2] *= scale_rad * scale_rad
-            cov[:2, 2] *= scale_m * scale_rad
-            cov[2, :2] *= scale_m * scale_rad
+            cov *= _scaling(scale_m, scale_rad)
         return cov
 
     def _sweep_by_odometry(self, times_s: FloatArray) -> SweepMotion:
@@ -312,13 +310,8 @@ class AdaptiveOdometry:
             return
         found = np.empty(3)
         relative(before.T_local_base, match.T_local_base, found)
-        model = self.noise.covariance(told.increment)
-        self.innovations.add(
-            found - told.increment,
-            told.increment,
-            (float(model[0, 0]), float(model[2, 2])),
-            (0.5 * (xx + yy), variance_rad2),
-        )
+        model = self.noise.variances(told.increment)
+        self.innovations.add(found - told.increment, told.increment, model, (0.5 * (xx + yy), variance_rad2))
 
     def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
         """Give two matches in a row to the calibration."""
@@ -333,6 +326,15 @@ class AdaptiveOdometry:
         self.calibration.add(
             (before[0], after[0]), increment, variances, after[1].T_local_base, self._history, laser
         )
+
+
+@lru_cache(maxsize=16)
+def _scaling(scale_m: float, scale_rad: float) -> FloatArray:
+    """(3, 3) factors of a covariance whose standard deviations are scaled."""
+    mm, mr, rr = scale_m * scale_m, scale_m * scale_rad, scale_rad * scale_rad
+    factors = np.array([[mm, mm, mr], [mm, mm, mr], [mr, mr, rr]])
+    factors.setflags(write=False)
+    return factors
 
 
 def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:
