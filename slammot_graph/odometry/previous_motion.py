@@ -58,12 +58,12 @@ class Velocity:
     @property
     def value(self) -> FloatArray:
         """(3,) [m/s, m/s, rad/s]."""
-        return self.table[0]
+        return np.asarray(self.table[0])
 
     @property
     def var(self) -> FloatArray:
         """(3,) its variance."""
-        return self.table[1]
+        return np.asarray(self.table[1])
 
     @property
     def cross(self) -> FloatArray:
@@ -71,12 +71,12 @@ class Velocity:
 
         Down a bare corridor, where no match corrects it, one error of the velocity adds up over all steps.
         """
-        return self.table[2]
+        return np.asarray(self.table[2])
 
     @property
     def var_change(self) -> FloatArray:
         """(3,) variance of its change from scan to scan."""
-        return self.table[3]
+        return np.asarray(self.table[3])
 
 
 class PreviousMotion:

@@ -160,7 +160,9 @@ def test_two_velocities_learn_as_each_does(seed: int, gain: float) -> None:
     steps_s = (0.1, 0.2)
     tables = [rng.uniform(0.01, 0.2, (4, 3)) for _ in steps_s]
     expected = [table.copy() for table in tables]
-    kernels.learn_velocities(increment, cov, steps_s, gain, 2.0, 0.5, 0.02, least, *tables, errors2)
+    kernels.learn_velocities(
+        increment, cov, steps_s, gain, 2.0, 0.5, 0.02, least, tables[0], tables[1], errors2
+    )
     for k, (step_s, table) in enumerate(zip(steps_s, expected, strict=True)):
         error2 = kernels.prediction_error2(step_s * table[0], increment, 2.0, 0.5)
         assert errors2[k] == (1.0 + 0.02 * (error2 - 1.0) if gain else 1.0)
