@@ -50,8 +50,8 @@ def retrospective_labels(
     """
     n = len(history)
     memory = OccupancyGrid(grid, window_m=window_m)
-    is_flat = isinstance(history, ScanHistory)
-    last_in_window = _last_in_window(history.windows if is_flat else [item.window for item in history])
+    windows = history.windows if isinstance(history, ScanHistory) else [item.window for item in history]
+    last_in_window = _last_in_window(windows)
     labels: list[BoolArray] = [np.empty(0, dtype=np.bool_)] * n
     for k in range(n - 1, -1, -1):
         now = n - 1 - k
