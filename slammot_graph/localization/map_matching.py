@@ -102,11 +102,13 @@ class MapMatching:
         if match.status == "failed":
             state = state._replace(T_local_base=T_local_base, cov_independent=cov_independent)
         else:
-            state = state._replace(
-                T_local_base=T_local_base,
-                cov_independent=cov_independent,
-                cov_correlated=match.cov_correlated,
-                cov_prior=fuse(state.cov_prior, match),
+            state = MotionState(
+                T_local_base,
+                fuse(state.cov_prior, match),
+                cov_independent,
+                match.cov_correlated,
+                state.cov_odometry,
+                state.cov_motion,
             )
         if self._elsewhere is not None:
             match = replace(match, contradicts_odometry=True)
