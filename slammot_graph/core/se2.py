@@ -156,7 +156,7 @@ def compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray)
     """
     if cov_a.ndim == 2 and T_a_b.ndim == 1 and cov_b.ndim == 2:
         out = np.empty((3, 3))
-        _compound_covariances(cov_a[None], T_a_b, cov_b, out[None])
+        _compound_covariance(cov_a, T_a_b, cov_b, out)
         return out
     if T_a_b.ndim == 1 and cov_b.ndim == 2 and cov_a.ndim <= 3:
         out = np.empty(cov_a.shape)
@@ -218,6 +218,13 @@ def compound_three(
             covs_a[1, i, j] = cov_2[i, j]
             covs_a[2, i, j] = cov_3[i, j]
     _compound_covariances(covs_a, T_a_b, cov_b, covs_out)
+
+
+@kernel
+def _compound_covariance(
+    cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray, cov_out: FloatArray
+) -> None:
+    _compound_covariances(cov_a.reshape(1, 3, 3), T_a_b, cov_b, cov_out.reshape(1, 3, 3))
 
 
 @kernel

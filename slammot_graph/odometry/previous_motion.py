@@ -128,7 +128,9 @@ class PreviousMotion:
 
     def increment(self, clock: ScanClock) -> FloatArray:
         """(3,) motion over the latest step of the clock."""
-        return min(self._step_s(clock), MAX_STEP_S) * self.velocity.value
+        if self.is_by_count:
+            return np.asarray(min(clock.usual_s, MAX_STEP_S) * self.by_count.value)
+        return np.asarray(min(clock.step_s, MAX_STEP_S) * self.by_stamps.value)
 
     def motion(self, clock: ScanClock, elapsed_s: float | None = None) -> Motion:
         """Predict the motion over the latest step of the clock, or over the time since another laser's scan.
