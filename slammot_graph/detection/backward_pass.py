@@ -6,6 +6,7 @@ static points later is a wall after all, unless it belongs to an object that has
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from slammot_graph.detection.scan_history import ScanHistory, ScanRecord
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.tracking.base import ScanView, Tracker
 from slammot_graph.tracking.smoothing import SightingHistory
+
+VIEWS_BYTES, BYTES_OF_BEAM = 32 << 20, 70
+"""Memory of the views of scans that are kept, and of a beam of one."""
 
 
 def retrospective_labels(
@@ -103,6 +107,8 @@ def sightings_of_views(
 class FinalViews:
     """The view of a scan by its number, at its final pose and with what its final labels call moving.
 
+    The latest `VIEWS_BYTES` of them are kept: who tracks and who then asks about the tracks see the same scans.
+
     Parameters
     ----------
     history, T_map_base
@@ -126,20 +132,20 @@ class FinalViews:
         self._history, self._T_map_base, self._labels = history, T_map_base, labels
         self._ellipse_test, self._range_fraction = ellipse_test, range_fraction
         self._has_several = history.n_lasers > 1
+        n_beams = max((len(one) for one in labels), default=0)
+        self._view = lru_cache(max(VIEWS_BYTES // (BYTES_OF_BEAM * n_beams + 1000), 64))(self._view_of)
 
     def __call__(self, k: int) -> ScanView:
         """Give the view of scan k."""
-        item = self._history[k]
-        return self._view(k, item, self._labels[k] | item.is_lasting)
+        return self._view(k)
 
     def where_something_moves(self, k: int) -> ScanView | None:
         """Give the view of scan k if some of it moves."""
-        item = self._history[k]
-        is_moving = self._labels[k] | item.is_lasting
-        return self._view(k, item, is_moving) if is_moving.any() else None
+        return self._view(k) if self._labels[k].any() or self._history[k].is_lasting.any() else None
 
-    def _view(self, k: int, item: ScanRecord, is_moving: BoolArray) -> ScanView:
-        T = self._T_map_base[k]
+    def _view_of(self, k: int) -> ScanView:
+        item, T = self._history[k], self._T_map_base[k]
+        is_moving = self._labels[k] | item.is_lasting
         view = ScanView.of_scan(
             item.scan,
             T,
