@@ -20,7 +20,7 @@ _HEAD = struct.Struct("=qdqiI?H9f")
 _SWEEP = struct.Struct("=2d9f")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class ScanRecord:
     """What was decided about a scan at its time.
 

@@ -69,7 +69,7 @@ class FinalEstimate:
     earlier: SavedMap | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class CommitResult:
     """What keeping a scan brought.
 

@@ -184,9 +184,11 @@ class AdaptiveOdometry:
         if match is not None and before is not None:
             self._learn(before.T_local_base, match)
             if before.match is not None:
-                self._compare_noise(before.match, match)
+                found = np.empty(3)
+                relative(before.match.T_local_base, match.T_local_base, found)
+                self._compare_noise(found, match)
                 if match.is_reliable and before.match.is_reliable:
-                    self._calibrate((before.time_s, before.match), (now_s, match))
+                    self._calibrate((before.time_s, before.match), (now_s, match), found)
         has_odometry = scan is not None and scan.T_odom_base is not None
         self._located[laser] = Located(now_s, T_local_base, has_odometry, match)
 
@@ -300,25 +302,23 @@ class AdaptiveOdometry:
         elif other > config.hysteresis * own or excess < config.explained_excess:
             self.source = "odometry"
 
-    def _compare_noise(self, before: MatchedPose, match: MatchedPose) -> None:
-        """Give the difference of two matches in a row and the odometry to the estimate of their noise."""
+    def _compare_noise(self, found: FloatArray, match: MatchedPose) -> None:
+        """Give the difference of two matches in a row (3,) and the odometry to the estimate of their noise."""
         told = self._record.told
         if told is None or not self._record.is_odometry_used:
             return
         xx, _, _, _, yy, _, _, _, variance_rad2 = match.cov.ravel().tolist()
         if not max(xx, yy, variance_rad2) < MAX_MATCH_VARIANCE:
             return
-        found = np.empty(3)
-        relative(before.T_local_base, match.T_local_base, found)
         model = self.noise.variances(told.increment)
         self.innovations.add(found - told.increment, told.increment, model, (0.5 * (xx + yy), variance_rad2))
 
-    def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
-        """Give two matches in a row to the calibration."""
+    def _calibrate(
+        self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose], increment: FloatArray
+    ) -> None:
+        """Give two matches in a row, and the increment (3,) between them, to the calibration."""
         if not self._history.clock.is_regular or self._record.told is None:
             return
-        increment = np.empty(3)
-        relative(before[1].T_local_base, after[1].T_local_base, increment)
         cov = before[1].cov_independent + after[1].cov_independent
         xx, _, _, _, yy, _, _, _, variance_rad2 = cov.ravel().tolist()
         variances = 0.5 * (xx + yy), variance_rad2
