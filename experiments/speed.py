@@ -35,7 +35,7 @@ from slammot_graph.mapping import _local_map_kernels
 from slammot_graph.mapping import occupancy_grid as grid
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline, PipelineConfig
-from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
+from slammot_graph.registration import _judge_kernels, _solve_kernels
 from slammot_graph.run import make_pipeline
 from slammot_graph.simulation import SCENARIOS, SimulatedLog, simulate
 from slammot_graph.simulation.robot import simulate_odometry
@@ -60,10 +60,9 @@ KERNELS = {
     _kernels: ("test_beams", "seen_through"),
     _cluster_kernels: ("group_moving",),
     _solve_kernels: ("match_point_to_line",),
-    _scatter_kernels: ("residual_scatter",),
-    _covariance_kernels: ("match_covariance", "innovate", "fuse"),
+    _judge_kernels: ("judge_match",),
     _local_map_kernels: ("estimate_normals", "insert_points"),
-    grid: ("update_beams",),
+    grid: ("update_by_scan",),
 }
 """Kernels of the step, by the module that looks them up."""
 
@@ -389,7 +388,7 @@ def _kernel_table(heading: str, measured: dict[str, Any]) -> Table:
             row[4] = (
                 f"{1e3 * us[row[0]] / evaluations:.1f} ns each; {1e3 * warm / evaluations:.1f} in warm caches"
             )
-        elif row[0] == "update_beams":
+        elif row[0] == "update_by_scan":
             row[3] = f"{cells:,.0f} cells"
             row[4] = f"{1e3 * us[row[0]] / cells:.1f} ns each; {limit_us:.1f} us at the memory's speed"
     rows.append(

@@ -15,7 +15,7 @@ from slammot_graph.core.scan import Scan
 from slammot_graph.core.spool import Spool
 from slammot_graph.core.stopwatch import Stopwatch
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.detection.backward_pass import final_views, sightings_of_views
+from slammot_graph.detection.backward_pass import FinalViews, sightings_of_views
 from slammot_graph.detection.base import NO_CLUSTERS, Detection
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
@@ -184,7 +184,7 @@ class Pipeline:
         detector = self.config.detector
         if isinstance(detector, EllipseDetectorConfig) and self.detector.has_backward_pass:
             known = [seen.is_moving for seen in self._history] if labels is None else labels
-            view = final_views(
+            view = FinalViews(
                 self._history,
                 T_map_base,
                 known,

@@ -27,9 +27,9 @@ Health = Literal["healthy", "degenerate", "contradiction", "lost", "recovered"]
 ClosureStatus = Literal["accepted", "waiting", "refused", "outlier"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class MatchResult:
-    """Outcome of one scan match.
+    """Outcome of one scan match. Over 12 attributes because it is a record; not frozen, for that is slow to make.
 
     Attributes
     ----------
@@ -163,9 +163,9 @@ class ClosureAttempt:
         return {"target_node": self.target_node, "source_node": self.source_node, "reason": self.reason}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class StepResult:
-    """Everything that one scan brought.
+    """All that one scan brought. Over 12 attributes because it is a record; not frozen, for that is slow to make.
 
     Attributes
     ----------

@@ -155,7 +155,7 @@ class Scan:
         Only runs of at least `min_run` neighbours count: single ones are more often dark or shiny surfaces.
         """
         missing = np.empty(len(self.ranges), dtype=np.bool_)
-        _runs_beyond(self.ranges, range_fraction * self.laser.range_max, min_run, missing)
+        runs_beyond(self.ranges, range_fraction * self.laser.range_max, min_run, missing)
         return missing
 
     def points_base(self) -> FloatArray:
@@ -224,7 +224,7 @@ def _end_points(ranges: FloatArray, origin: FloatArray, directions: FloatArray) 
 
 
 @kernel
-def _runs_beyond(ranges: FloatArray, limit: float, min_run: int, out: BoolArray) -> None:
+def runs_beyond(ranges: FloatArray, limit: float, min_run: int, out: BoolArray) -> None:
     """Mark in `out` the ranges of at least `limit` [m] that come in runs of at least `min_run`."""
     first = 0
     for k in range(ranges.shape[0]):

@@ -35,11 +35,9 @@ def compose(T_a_b: FloatArray, T_b_c: FloatArray) -> FloatArray:
     (..., 3) array, theta in [-pi, pi).
     """
     if T_a_b.ndim == 1 and T_b_c.ndim == 1:
-        ax, ay, at = T_a_b.tolist()
-        bx, by, bt = T_b_c.tolist()
-        c, s = math.cos(at), math.sin(at)
-        theta = (at + bt + math.pi) % (2.0 * math.pi) - math.pi
-        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, theta])
+        T_a_c = np.empty(3)
+        _compose(T_a_b, T_b_c, T_a_c)
+        return T_a_c
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])
     x = T_a_b[..., 0] + cos * T_b_c[..., 0] - sin * T_b_c[..., 1]
     y = T_a_b[..., 1] + sin * T_b_c[..., 0] + cos * T_b_c[..., 1]
@@ -62,14 +60,10 @@ def inverse(T_a_b: FloatArray) -> FloatArray:
 
 def between(T_a_b: FloatArray, T_a_c: FloatArray) -> FloatArray:
     """Relative transform ``T_b_c = inverse(T_a_b) * T_a_c``, all (..., 3)."""
-    if T_a_b.ndim == 1 and T_a_c.ndim == 1:  # the same operations on plain numbers
-        x1, y1, t1 = T_a_b.tolist()
-        bx, by, bt = T_a_c.tolist()
-        c, s = math.cos(t1), math.sin(t1)
-        ax, ay, at = -c * x1 - s * y1, s * x1 - c * y1, (-t1 + math.pi) % (2.0 * math.pi) - math.pi
-        c, s = math.cos(at), math.sin(at)
-        theta = (at + bt + math.pi) % (2.0 * math.pi) - math.pi
-        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, theta])
+    if T_a_b.ndim == 1 and T_a_c.ndim == 1:
+        T_b_c = np.empty(3)
+        _between(T_a_b, T_a_c, T_b_c)
+        return T_b_c
     return compose(inverse(T_a_b), T_a_c)
 
 
@@ -160,12 +154,41 @@ def compound_covariance(cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray)
     -------
     (..., 3, 3) covariance in body frame b: ``A cov_a A' + cov_b`` with ``A = Ad(inverse(T_a_b))``.
     """
+    if cov_a.ndim == 2 and T_a_b.ndim == 1 and cov_b.ndim == 2:
+        out = np.empty((3, 3))
+        _compound_covariance(cov_a, T_a_b, cov_b, out)
+        return out
     if T_a_b.ndim == 1 and cov_b.ndim == 2 and cov_a.ndim <= 3:
         out = np.empty(cov_a.shape)
         _compound_covariances(cov_a.reshape(-1, 3, 3), T_a_b, cov_b, out.reshape(-1, 3, 3))
         return out
     A = adjoint(inverse(T_a_b))
     return A @ cov_a @ np.swapaxes(A, -1, -2) + cov_b
+
+
+@kernel
+def _compose(T_a_b: FloatArray, T_b_c: FloatArray, out: FloatArray) -> None:
+    c = math.cos(T_a_b[2])
+    s = math.sin(T_a_b[2])
+    out[0] = T_a_b[0] + c * T_b_c[0] - s * T_b_c[1]
+    out[1] = T_a_b[1] + s * T_b_c[0] + c * T_b_c[1]
+    out[2] = (T_a_b[2] + T_b_c[2] + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@kernel
+def _between(T_a_b: FloatArray, T_a_c: FloatArray, out: FloatArray) -> None:
+    c = math.cos(T_a_b[2])
+    s = math.sin(T_a_b[2])
+    T_b_a = (
+        -c * T_a_b[0] - s * T_a_b[1],
+        s * T_a_b[0] - c * T_a_b[1],
+        (-T_a_b[2] + math.pi) % (2.0 * math.pi) - math.pi,
+    )
+    c = math.cos(T_b_a[2])
+    s = math.sin(T_b_a[2])
+    out[0] = T_b_a[0] + c * T_a_c[0] - s * T_a_c[1]
+    out[1] = T_b_a[1] + s * T_a_c[0] + c * T_a_c[1]
+    out[2] = (T_b_a[2] + T_a_c[2] + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @kernel
@@ -195,6 +218,13 @@ def compound_three(
             covs_a[1, i, j] = cov_2[i, j]
             covs_a[2, i, j] = cov_3[i, j]
     _compound_covariances(covs_a, T_a_b, cov_b, covs_out)
+
+
+@kernel
+def _compound_covariance(
+    cov_a: FloatArray, T_a_b: FloatArray, cov_b: FloatArray, cov_out: FloatArray
+) -> None:
+    _compound_covariances(cov_a.reshape(1, 3, 3), T_a_b, cov_b, cov_out.reshape(1, 3, 3))
 
 
 @kernel

@@ -11,15 +11,19 @@ class Stopwatch:
 
     def restart(self) -> None:
         """Begin a step."""
-        self._ms: dict[str, float] = {}
-        self._start = self._last = time.perf_counter()
+        self._laps: list[tuple[str, float]] = []
+        self._start = time.perf_counter()
 
     def lap(self, name: str) -> None:
         """End a stage, which began with the last call; the same name adds up."""
-        now = time.perf_counter()
-        self._ms[name] = self._ms.get(name, 0.0) + 1e3 * (now - self._last)
-        self._last = now
+        self._laps.append((name, time.perf_counter()))
 
     def read(self) -> dict[str, float]:
         """Stages so far, and the whole step under "step" [ms]."""
-        return {**self._ms, "step": 1e3 * (time.perf_counter() - self._start)}
+        ms: dict[str, float] = {}
+        before = self._start
+        for name, now in self._laps:
+            ms[name] = ms.get(name, 0.0) + 1e3 * (now - before)
+            before = now
+        ms["step"] = 1e3 * (time.perf_counter() - self._start)
+        return ms

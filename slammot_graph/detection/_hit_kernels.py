@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.detection._cluster_kernels import find_clusters
 from slammot_graph.detection.reasons import FREE, FURNITURE, NOT_VALID
 
 
@@ -108,6 +109,50 @@ def call_furniture(
         c = cluster[k]
         if c >= 0 and not is_expected[c] and n_before[c] >= min_share * n[c]:
             reason[k] = FURNITURE
+
+
+@kernel
+def find_furniture(
+    counts: "npt.NDArray[np.int32]",
+    stamp: "npt.NDArray[np.int32]",
+    inv_resolution: float,
+    oldest: int,
+    points: FloatArray,
+    reason: IntArray,
+    min_hits: int,
+    most_moving: float,
+    min_share: float,
+    expected: FloatArray,
+    reach: float,
+    max_gap: float,
+    max_skipped_beams: int,
+    min_points: int,
+    max_x_range: float,
+    max_y_range: float,
+    split_gap: float,
+    split_min_points: int,
+) -> None:
+    """Set `reason` to FURNITURE on the clusters of FREE points that were hit before: `was_hit`, `call_furniture`."""
+    n = points.shape[0]
+    k = 0
+    while k < n and reason[k] != FREE:
+        k += 1
+    if k == n:
+        return
+    is_hit_before = np.empty(n, dtype=np.bool_)
+    if not was_hit(
+        counts, stamp, inv_resolution, oldest, points, reason, min_hits, most_moving, is_hit_before
+    ):
+        return
+    is_free = np.empty(n, dtype=np.bool_)
+    for k in range(n):
+        is_free[k] = reason[k] == FREE
+    cluster = np.empty(n, dtype=np.int64)
+    n_clusters = find_clusters(
+        points, is_free, max_gap, max_skipped_beams, min_points, max_x_range, max_y_range,
+        split_gap, split_min_points, cluster,
+    )  # fmt: skip
+    call_furniture(points, cluster, n_clusters, is_hit_before, min_share, expected, reach, reason)
 
 
 @kernel

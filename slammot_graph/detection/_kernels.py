@@ -321,6 +321,14 @@ def seen_through(
 
 
 @kernel
+def unpack_masks(masks: "npt.NDArray[np.uint8]", out: BoolArray) -> None:
+    """Fill `out` (m, n) with the lowest m bits of masks (n,), as `pack_masks` makes them."""
+    for k in range(masks.shape[0]):
+        for i in range(out.shape[0]):
+            out[i, k] = masks[k] & (1 << i) != 0
+
+
+@kernel
 def pack_masks(
     is_valid: BoolArray,
     is_moving: BoolArray,

@@ -1,8 +1,7 @@
 """What the pipeline asks of a moving-object detector, and what it gets."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from slammot_graph.mapping.occupancy_grid import OccupancyGrid
 from slammot_graph.tracking.base import Tracker
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Detection:
+class Detection(NamedTuple):
     """Labels of one scan; every array has one entry a beam.
 
     Attributes
@@ -65,8 +63,7 @@ class Detection:
 
     def abstain(self) -> "Detection":
         """Reject what was called moving: none of it is."""
-        return replace(
-            self,
+        return self._replace(
             is_moving=np.zeros_like(self.is_moving),
             reason=np.where(self.is_moving, reasons.ABSTAINED, self.reason),
             cluster=np.full_like(self.cluster, -1),

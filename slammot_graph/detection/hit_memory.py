@@ -13,8 +13,7 @@ import numpy as np
 from slammot_graph.core.checks import Checked, Count, NotNegative, PositiveShare, Share
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _hit_kernels
-from slammot_graph.detection.clustering import ClusterConfig, find_clusters
-from slammot_graph.detection.reasons import FREE
+from slammot_graph.detection.clustering import ClusterConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,8 +122,7 @@ class HitMemory:
             Where tracked objects that have displaced should be: a cluster within `reach_m` of one stays.
         reach_m : float
         """
-        is_hit_before = np.empty(len(points), dtype=np.bool_)
-        if not _hit_kernels.was_hit(
+        _hit_kernels.find_furniture(
             self.counts,
             self.stamp,
             self.inv_resolution,
@@ -133,10 +131,8 @@ class HitMemory:
             reason,
             self.config.min_hits,
             self.config.crowd_share,
-            is_hit_before,
-        ):
-            return
-        cluster, n_clusters = find_clusters(points, reason == FREE, clusters)
-        _hit_kernels.call_furniture(
-            points, cluster, n_clusters, is_hit_before, self.config.min_share, expected, reach_m, reason
+            self.config.min_share,
+            expected,
+            reach_m,
+            *clusters.kernel_arguments(),
         )

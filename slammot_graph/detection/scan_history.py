@@ -20,7 +20,7 @@ _HEAD = struct.Struct("=qdqiI?H9f")
 _SWEEP = struct.Struct("=2d9f")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class ScanRecord:
     """What was decided about a scan at its time.
 
@@ -67,6 +67,8 @@ class ScanHistory(Sequence[ScanRecord]):
     stamps : array of n floats [s]
     laser_numbers : array of n ints
         Which of the robot's lasers took each.
+    windows : array of n ints
+        As of `ScanRecord.window`.
     """
 
     def __init__(self, most_in_memory: int | None = None) -> None:
@@ -74,6 +76,7 @@ class ScanHistory(Sequence[ScanRecord]):
         self._places = array("q")
         self.stamps = array("d")
         self.laser_numbers = array("q")
+        self.windows = array("q")
         self._spool = Spool(MOST_IN_MEMORY if most_in_memory is None else most_in_memory)
 
     def append(
@@ -89,22 +92,26 @@ class ScanHistory(Sequence[ScanRecord]):
         is_doubtful: bool,
     ) -> None:
         """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`."""
-        # of several lasers, each is among the latest few
-        laser = next((k for k, x in enumerate(self._lasers[-1:-9:-1], start=1) if x is scan.laser), 0)
-        laser = len(self._lasers) - laser
-        if laser == len(self._lasers):
-            self._lasers.append(scan.laser)
+        laser = self._number_of(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
         _kernels.pack_masks(is_valid, is_moving, reason, on_objects, masks)
         cov = cov_relative.ravel().tolist()
         n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
-        packed = b"".join(
-            (head, scan.ranges.astype(np.float32).tobytes(), masks.tobytes(), _packed_sweep(scan))
-        )
-        self._places.append(self._spool.add(packed))
+        packed = head + scan.ranges.astype(np.float32).tobytes() + masks.tobytes()
+        self._places.append(self._spool.add(packed if scan.sweep is None else packed + _packed_sweep(scan)))
         self.stamps.append(scan.stamp)
         self.laser_numbers.append(scan.laser.number)
+        self.windows.append(window)
+
+    def _number_of(self, laser: LaserModel) -> int:
+        """Place of a laser in the list; of several, each is among the latest few."""
+        n = len(self._lasers)
+        for k in range(n - 1, max(n - 9, -1), -1):
+            if self._lasers[k] is laser:
+                return k
+        self._lasers.append(laser)
+        return n
 
     @overload
     def __getitem__(self, k: int) -> ScanRecord: ...
@@ -138,12 +145,13 @@ class ScanHistory(Sequence[ScanRecord]):
     def _unpack(self, k: int) -> ScanRecord:
         place = self._places[k]
         end = self._places[k + 1] if k + 1 < len(self) else self._spool.n_bytes
-        file = io.BytesIO(self._spool.read(place, end - place))
-        index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack(file.read(_HEAD.size))
-        ranges = np.frombuffer(file.read(4 * n), dtype=np.float32).astype(np.float64)
-        masks = np.frombuffer(file.read(n), dtype=np.uint8)
-        beam_times, sweep = _read_sweep(file, n, n_knots)
-        valid, moving, wall, displaced, lasting = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8, 16))
+        data = self._spool.read(place, end - place)
+        index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack_from(data)
+        ranges = np.frombuffer(data, np.float32, n, _HEAD.size).astype(np.float64)
+        masks = np.empty((5, n), dtype=np.bool_)
+        _kernels.unpack_masks(np.frombuffer(data, np.uint8, n, _HEAD.size + 4 * n), masks)
+        valid, moving, wall, displaced, lasting = masks
+        beam_times, sweep = _read_sweep(data[_HEAD.size + 5 * n :], n, n_knots) if n_knots else (None, None)
         return ScanRecord(
             scan=Scan(
                 index=index,
@@ -165,10 +173,9 @@ class ScanHistory(Sequence[ScanRecord]):
         )
 
 
-def _read_sweep(file: io.BytesIO, n: int, n_knots: int) -> tuple[FloatArray | None, SweepMotion | None]:
+def _read_sweep(data: bytes, n: int, n_knots: int) -> tuple[FloatArray, SweepMotion]:
     """Beam times (n,) and motion of a deskewed scan."""
-    if not n_knots:
-        return None, None
+    file = io.BytesIO(data)
     first_s, last_s, *cov = _SWEEP.unpack(file.read(_SWEEP.size))
     knots = np.frombuffer(file.read(12 * n_knots), dtype=np.float32).astype(np.float64)
     times = np.frombuffer(file.read(4 * n), dtype=np.float32).astype(np.float64)

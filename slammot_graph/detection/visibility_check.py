@@ -75,15 +75,17 @@ class VisibilityCheck:
 
     def vacated(self, scan: Scan, T_local_base: FloatArray, is_valid: BoolArray) -> FloatArray:
         """(k, 2) points [m] of an earlier scan that this one, at its pose (3,), sees through; local frame."""
-        x, y = T_local_base[:2].tolist()
+        x, y, _ = T_local_base.tolist()
         laser = scan.laser
-        seen = self._seen.get(laser.number, deque())
+        seen = self._seen.get(laser.number)
+        if seen is None:
+            return np.empty((0, 2))
         while len(seen) > 1 and self._is_old(seen[1], scan.stamp, x, y):
             seen.popleft()
-        if not seen or not self._is_old(seen[0], scan.stamp, x, y):
+        if not self._is_old(seen[0], scan.stamp, x, y):
             return np.empty((0, 2))
         earlier = seen[0]
-        gone = np.empty_like(earlier.points)
+        gone = np.empty(earlier.points.shape)
         n_gone = _kernels.seen_through(
             earlier.points,
             earlier.is_valid,

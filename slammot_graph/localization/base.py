@@ -1,7 +1,7 @@
 """What the pipeline asks of a localizer, and what it gets."""
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+class Estimate(NamedTuple):
     """A pose in the local frame, which is smooth: no closure makes it jump.
 
     Attributes
@@ -35,7 +34,7 @@ class Estimate:
     T_local_base: FloatArray
     cov_relative: FloatArray
     cov_absolute: FloatArray
-    T_anchor_base: FloatArray = field(default_factory=lambda: se2.IDENTITY)
+    T_anchor_base: FloatArray = se2.IDENTITY
     anchor_scan: int = -1
 
 
@@ -70,7 +69,7 @@ class FinalEstimate:
     earlier: SavedMap | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class CommitResult:
     """What keeping a scan brought.
 

@@ -117,8 +117,13 @@ class _OneLaser:
     def _has_come(self, scan: Scan) -> bool:
         """Whether nearly all beams end close by that reached farther lately."""
         ranges, n = scan.ranges, len(scan.ranges)
-        if not self._lately or sum(ranges.item(int(share * n)) <= NEAR_M for share in _LOOKED_AT) < 3:
+        if not self._lately:
             return False
+        n_far = 0
+        for share in _LOOKED_AT:
+            n_far += not ranges.item(int(share * n)) <= NEAR_M
+            if n_far == 3:
+                return False
         if np.count_nonzero(scan.is_valid() & (ranges <= NEAR_M)) < NEAR_SHARE * n:
             return False
         for before in (self._lately[0], self._lately[-1]):

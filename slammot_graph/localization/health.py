@@ -1,7 +1,6 @@
 """The health of the localization at each scan: a state machine fed with what became of the matches."""
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from slammot_graph.core.events import Event, make_event
 from slammot_graph.core.results import Health, MatchResult
@@ -10,8 +9,7 @@ N_CONSISTENT = 5
 """So many matches in a row that converge and agree with the odometry end a contradiction, or being lost."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class HealthUpdate:
+class HealthUpdate(NamedTuple):
     """The state at a scan, and the event where it has just changed."""
 
     state: Health

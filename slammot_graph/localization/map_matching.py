@@ -42,7 +42,7 @@ class MapMatching:
         self.matcher = make_matcher(config.point_to_line)
         self.laser_base: FloatArray = np.zeros(2)
         self._T_local_before: FloatArray = se2.IDENTITY
-        self._increment_before: FloatArray = se2.IDENTITY
+        self._T_local_earlier: FloatArray = se2.IDENTITY
         self._static_share = 1.0
         self._usual_agreement = 0.0
         self._noise_scale = 1.0
@@ -60,8 +60,8 @@ class MapMatching:
         T_local_before : (3,) array
             The pose at the scan before.
         """
-        self._increment_before = se2.between(self._T_local_before, T_local_before)
-        self.laser_base, self._T_local_before = laser_base, T_local_before
+        self._T_local_earlier, self._T_local_before = self._T_local_before, T_local_before
+        self.laser_base = laser_base
         if self._latest is not None and self._latest.status == "converged":
             agreement = self.agreement(self._latest)
             self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
@@ -112,11 +112,13 @@ class MapMatching:
         if match.status == "failed":
             state = state._replace(T_local_base=T_local_base, cov_independent=cov_independent)
         else:
-            state = state._replace(
-                T_local_base=T_local_base,
-                cov_independent=cov_independent,
-                cov_correlated=match.cov_correlated,
-                cov_prior=fuse(state.cov_prior, match),
+            state = MotionState(
+                T_local_base,
+                fuse(state.cov_prior, match),
+                cov_independent,
+                match.cov_correlated,
+                state.cov_odometry,
+                state.cov_motion,
             )
         if self._elsewhere is not None:
             match = replace(match, contradicts_odometry=True)
@@ -264,7 +266,8 @@ class MapMatching:
 
     def _starts_before(self) -> list[FloatArray]:
         """Where the robot was before, and where its last motion leads."""
-        return [self._T_local_before, se2.compose(self._T_local_before, self._increment_before)]
+        increment = se2.between(self._T_local_earlier, self._T_local_before)
+        return [self._T_local_before, se2.compose(self._T_local_before, increment)]
 
     def _turned_starts(self, start: MotionState, beyond_rad: float, reach_rad: float) -> list[FloatArray]:
         """The predicted pose turned either way, in steps, by more than one angle and up to another."""

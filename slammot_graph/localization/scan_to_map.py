@@ -126,7 +126,7 @@ class ScanToMap:
         propagation, insertion = self.propagation, self.insertion
         has_points = bool(np.count_nonzero(is_static) >= self.config.point_to_line.min_pairs)
         events = self._look_for_loss(scan, has_points)
-        is_lost = any(event.kind == "lost" for event in events)
+        is_lost = bool(events) and any(event.kind == "lost" for event in events)
         if is_lost:
             self._sweep_end = None
             # the wheels tell where a robot has driven that saw nothing, and how well
@@ -155,8 +155,8 @@ class ScanToMap:
             closures=closures,
             events=(
                 *events,
-                *(attempt.event(scan.index) for attempt in closures),
-                *self._dropped(scan.index),
+                *[attempt.event(scan.index) for attempt in closures],
+                *(self._dropped(scan.index) if self.graph.dropped else ()),
             ),
             health=None if insertion.is_placed else "lost",
         )

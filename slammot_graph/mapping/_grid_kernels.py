@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from slammot_graph.core._numba import kernel
+from slammot_graph.core.scan import runs_beyond
 from slammot_graph.core.types import BoolArray, FloatArray
 
 FROM_LASER = 32
@@ -244,3 +245,49 @@ def far_beams(
             ends[k, 1] = T_a_base[1] + s * x + c * y
         else:
             ends[k] = points[k]
+
+
+@kernel
+def update_by_scan(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    inv_resolution: float,
+    now: int,
+    oldest: int,
+    T_a_base: FloatArray,
+    origins_base: FloatArray,
+    directions_base: FloatArray,
+    ranges: FloatArray,
+    no_return: float,
+    min_run: int,
+    reach: float,
+    points: FloatArray,
+    is_valid: BoolArray,
+    is_hit: BoolArray,
+    l_free: float,
+    l_occupied: float,
+    l_soft: float,
+    fill_gaps: bool,
+    max_apart: float,
+    l_min: float,
+    l_max: float,
+) -> None:
+    """Update the grid with a scan at a pose (3,): `runs_beyond`, `far_beams` and `update_beams` in one go.
+
+    Runs of at least `min_run` ranges from `no_return` [m] on free cells up to `reach` [m].
+    """
+    n = points.shape[0]
+    is_missing, is_beam, is_soft_hit = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n, np.bool_)
+    origins, ends = np.empty(origins_base.shape), np.empty(points.shape)
+    runs_beyond(ranges, no_return, min_run, is_missing)
+    far_beams(
+        T_a_base, origins_base, directions_base, reach, is_missing, points, is_valid, origins, ends, is_beam
+    )
+    for k in range(n):
+        is_soft_hit[k] = is_valid[k] and not is_hit[k]
+    update_beams(
+        log_odds, stamp, row0, col0, inv_resolution, now, oldest, origins, ends, is_beam, is_hit, is_soft_hit,
+        l_free, l_occupied, l_soft, fill_gaps, max_apart, l_min, l_max,
+    )  # fmt: skip

@@ -180,9 +180,14 @@ class LocalMap:
 
     def wants(self, T_local_base: FloatArray, laser: int = 0) -> bool:
         """Tell whether the robot has moved enough since the last keyframe of this laser, or there is none."""
-        last = next((keyframe for keyframe in reversed(self.keyframes) if keyframe.laser == laser), None)
-        if last is None:
+        if not self.keyframes:
             return True
+        last = self.keyframes[-1]
+        if last.laser != laser:
+            of_laser = [keyframe for keyframe in self.keyframes if keyframe.laser == laser]
+            if not of_laser:
+                return True
+            last = of_laser[-1]
         distance_m, turn_rad = se2.distance(last.T_local_base, T_local_base)
         return distance_m > self.config.keyframe_distance_m or turn_rad > self.config.keyframe_rotation_rad
 

@@ -11,7 +11,7 @@ from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.results import GridMap
 from slammot_graph.core.scan import NO_RETURN_FRACTION, Scan
 from slammot_graph.core.types import BoolArray, FloatArray
-from slammot_graph.mapping._grid_kernels import far_beams, update_beams
+from slammot_graph.mapping._grid_kernels import far_beams, update_beams, update_by_scan
 
 LEAST_CELL_M, MOST_CELL_M = 1e-3, 10.0
 
@@ -157,7 +157,36 @@ class OccupancyGrid:
         is_valid, is_static : (n,) bool arrays
             Returns, and those of them that do not move.
         """
+        is_hit = is_valid if self.config.occupy_with_moving else is_static
         ends, is_beam, no_return = points, is_valid, self.config.no_return
+        if no_return is not None and self.is_rolling:
+            update_by_scan(
+                self.log_odds,
+                self.stamp,
+                self.row0,
+                self.col0,
+                self.inv_resolution,
+                number,
+                self.oldest,
+                T_a_base,
+                scan.origins_base,
+                scan.directions_base,
+                scan.ranges,
+                no_return.range_fraction * scan.laser.range_max,
+                no_return.min_run,
+                min(no_return.reach_m, scan.laser.range_max),
+                points,
+                is_valid,
+                is_hit,
+                self.l_pass,
+                self.l_hit,
+                self.l_soft,
+                self.config.fill_gaps,
+                self.config.max_apart_cells,
+                self.l_min,
+                self.l_max,
+            )
+            return
         origins = np.empty_like(scan.origins_base)
         if no_return is None:
             se2.transform_points(T_a_base, scan.origins_base, origins)
@@ -175,7 +204,6 @@ class OccupancyGrid:
                 ends,
                 is_beam,
             )
-        is_hit = is_valid if self.config.occupy_with_moving else is_static
         self.update(number, origins, ends, is_beam, is_hit, is_valid & ~is_hit)
 
     def update(

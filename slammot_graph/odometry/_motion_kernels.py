@@ -96,6 +96,36 @@ def learn_velocity(
 
 
 @kernel
+def learn_velocities(
+    increment: FloatArray,
+    cov: FloatArray,
+    steps_s: tuple[float, float],
+    gain: float,
+    lever_m: float,
+    cap_m: float,
+    error_gain: float,
+    least_var: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    errors2: FloatArray,
+) -> None:
+    """Let two velocities, (4, 3) tables as of `previous_motion.Velocity`, learn an increment, each over its own step.
+
+    Before, `errors2` (2,) takes in the squared errors of what they predict with the weight `error_gain`, unless `gain`
+    is 0.
+    """
+    predicted = np.empty(3)
+    for k in range(2):
+        table = first if k == 0 else second
+        if gain > 0.0:
+            for i in range(3):
+                predicted[i] = steps_s[k] * table[0, i]
+            error2 = prediction_error2(predicted, increment, lever_m, cap_m)
+            errors2[k] += error_gain * (error2 - errors2[k])
+        learn_velocity(increment, cov, steps_s[k], gain, least_var, table[0], table[1], table[2], table[3])
+
+
+@kernel
 def heavy_tail_scale(
     innovation: FloatArray,
     cov_predicted: FloatArray,

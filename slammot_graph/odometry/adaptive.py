@@ -7,6 +7,7 @@ no robot can make since the scan before is never used.
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -183,9 +184,11 @@ class AdaptiveOdometry:
         if match is not None and before is not None:
             self._learn(before.T_local_base, match)
             if before.match is not None:
-                self._compare_noise(before.match, match)
+                found = np.empty(3)
+                relative(before.match.T_local_base, match.T_local_base, found)
+                self._compare_noise(found, match)
                 if match.is_reliable and before.match.is_reliable:
-                    self._calibrate((before.time_s, before.match), (now_s, match))
+                    self._calibrate((before.time_s, before.match), (now_s, match), found)
         has_odometry = scan is not None and scan.T_odom_base is not None
         self._located[laser] = Located(now_s, T_local_base, has_odometry, match)
 
@@ -240,10 +243,7 @@ class AdaptiveOdometry:
             (scale_rad if below_rad == 1.0 else below_rad),
         )
         if scale_m != 1.0 or scale_rad != 1.0:
-            cov[:2, :2] *= scale_m * scale_m
-            cov[2, 2] *= scale_rad * scale_rad
-            cov[:2, 2] *= scale_m * scale_rad
-            cov[2, :2] *= scale_m * scale_rad
+            cov *= _scaling(scale_m, scale_rad)
         return cov
 
     def _sweep_by_odometry(self, times_s: FloatArray) -> SweepMotion:
@@ -302,30 +302,23 @@ class AdaptiveOdometry:
         elif other > config.hysteresis * own or excess < config.explained_excess:
             self.source = "odometry"
 
-    def _compare_noise(self, before: MatchedPose, match: MatchedPose) -> None:
-        """Give the difference of two matches in a row and the odometry to the estimate of their noise."""
+    def _compare_noise(self, found: FloatArray, match: MatchedPose) -> None:
+        """Give the difference of two matches in a row (3,) and the odometry to the estimate of their noise."""
         told = self._record.told
         if told is None or not self._record.is_odometry_used:
             return
         xx, _, _, _, yy, _, _, _, variance_rad2 = match.cov.ravel().tolist()
         if not max(xx, yy, variance_rad2) < MAX_MATCH_VARIANCE:
             return
-        found = np.empty(3)
-        relative(before.T_local_base, match.T_local_base, found)
-        model = self.noise.covariance(told.increment)
-        self.innovations.add(
-            found - told.increment,
-            told.increment,
-            (float(model[0, 0]), float(model[2, 2])),
-            (0.5 * (xx + yy), variance_rad2),
-        )
+        model = self.noise.variances(told.increment)
+        self.innovations.add(found - told.increment, told.increment, model, (0.5 * (xx + yy), variance_rad2))
 
-    def _calibrate(self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose]) -> None:
-        """Give two matches in a row to the calibration."""
+    def _calibrate(
+        self, before: tuple[float, MatchedPose], after: tuple[float, MatchedPose], increment: FloatArray
+    ) -> None:
+        """Give two matches in a row, and the increment (3,) between them, to the calibration."""
         if not self._history.clock.is_regular or self._record.told is None:
             return
-        increment = np.empty(3)
-        relative(before[1].T_local_base, after[1].T_local_base, increment)
         cov = before[1].cov_independent + after[1].cov_independent
         xx, _, _, _, yy, _, _, _, variance_rad2 = cov.ravel().tolist()
         variances = 0.5 * (xx + yy), variance_rad2
@@ -333,6 +326,15 @@ class AdaptiveOdometry:
         self.calibration.add(
             (before[0], after[0]), increment, variances, after[1].T_local_base, self._history, laser
         )
+
+
+@lru_cache(maxsize=16)
+def _scaling(scale_m: float, scale_rad: float) -> FloatArray:
+    """(3, 3) factors of a covariance whose standard deviations are scaled."""
+    mm, mr, rr = scale_m * scale_m, scale_m * scale_rad, scale_rad * scale_rad
+    factors = np.array([[mm, mm, mr], [mm, mm, mr], [mr, mr, rr]])
+    factors.setflags(write=False)
+    return factors
 
 
 def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:

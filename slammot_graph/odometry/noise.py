@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,12 +37,31 @@ class OdometryNoise(Checked):
 
     def covariance(self, increment: FloatArray) -> FloatArray:
         """(3, 3) covariance of a (3,) increment [m, m, rad], right perturbation (body frame)."""
-        distance_m, turn_rad = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
-        random_m2 = self.std_m_per_sqrt_m**2 * distance_m + self.std_m_per_sqrt_rad**2 * turn_rad
-        random_rad2 = self.std_rad_per_sqrt_m**2 * distance_m + self.std_rad_per_sqrt_rad**2 * turn_rad
-        var_m2 = self.still_std_m**2 + random_m2 + (self.ratio_m_per_m * distance_m) ** 2
-        var_rad2 = self.still_std_rad**2 + random_rad2 + (self.ratio_rad_per_rad * turn_rad) ** 2
+        var_m2, var_rad2 = self.variances(increment)
         return np.array([[var_m2, 0.0, 0.0], [0.0, var_m2, 0.0], [0.0, 0.0, var_rad2]])
+
+    def variances(self, increment: FloatArray) -> tuple[float, float]:
+        """Give the variances [m^2, rad^2] of a (3,) increment: of the translation, per axis, and of the rotation."""
+        x, y, theta = increment.tolist()
+        distance_m, turn_rad = math.hypot(x, y), abs(theta)
+        still_m2, still_rad2, m2_per_m, m2_per_rad, rad2_per_m, rad2_per_rad = self._squares
+        var_m2 = still_m2 + (m2_per_m * distance_m + m2_per_rad * turn_rad)
+        var_rad2 = still_rad2 + (rad2_per_m * distance_m + rad2_per_rad * turn_rad)
+        return (
+            var_m2 + (self.ratio_m_per_m * distance_m) ** 2,
+            var_rad2 + (self.ratio_rad_per_rad * turn_rad) ** 2,
+        )
+
+    @cached_property
+    def _squares(self) -> tuple[float, float, float, float, float, float]:
+        return (
+            self.still_std_m**2,
+            self.still_std_rad**2,
+            self.std_m_per_sqrt_m**2,
+            self.std_m_per_sqrt_rad**2,
+            self.std_rad_per_sqrt_m**2,
+            self.std_rad_per_sqrt_rad**2,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,3 +81,8 @@ class ConstantNoise(Checked):
         """(3, 3) covariance; the (3,) increment does not matter."""
         del increment
         return np.diag([self.x_std_m**2, self.y_std_m**2, self.theta_std_rad**2])
+
+    def variances(self, increment: FloatArray) -> tuple[float, float]:
+        """Give the variances [m^2, rad^2], along x for the translation; the (3,) increment does not matter."""
+        del increment
+        return self.x_std_m**2, self.theta_std_rad**2

@@ -70,4 +70,6 @@ class RunningMeans:
 
     def add(self, value: float, gain: float) -> None:
         """Take in the next value."""
-        self.values += self.gain(gain) * (value - self.values)
+        gain = self.gain(gain)
+        for k, mean in enumerate(self.values.tolist()):
+            self.values[k] = mean + gain * (value - mean)

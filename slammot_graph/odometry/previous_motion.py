@@ -7,7 +7,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
-from slammot_graph.odometry._motion_kernels import learn_velocity, prediction_error2
+from slammot_graph.odometry._motion_kernels import learn_velocities
 from slammot_graph.odometry.history import USUAL_RATIO, ScanClock
 from slammot_graph.odometry.motion import Motion
 
@@ -50,37 +50,36 @@ class Velocity:
 
     Attributes
     ----------
-    value : (3,) array
-        [m/s, m/s, rad/s].
-    var : (3,) array
-        Its variance.
-    var_change : (3,) array
-        Variance of its change from scan to scan.
-    cross : (3,) array
-        Covariance with the way that was predicted by it: down a bare corridor, where no match corrects it, one error of
-        the velocity adds up over all steps.
+    table : (4, 3) array
+        Its rows are the four below.
     """
 
     def __init__(self, config: PreviousMotionConfig) -> None:
-        self.value: FloatArray = np.zeros(3)
-        self.var_change: FloatArray = _squares(config.first_std_m_per_s, config.first_std_rad_per_s)
-        self.var: FloatArray = self.var_change.copy()
-        self.cross: FloatArray = np.zeros(3)
-        self._least_var = _squares(config.least_std_m_per_s, config.least_std_rad_per_s)
+        self.table = np.zeros((4, 3))
+        self.table[1:4:2] = _squares(config.first_std_m_per_s, config.first_std_rad_per_s)
 
-    def learn(self, increment: FloatArray, cov: FloatArray, step_s: float, gain: float) -> None:
-        """Take in an increment (3,) and its covariance (3, 3)."""
-        learn_velocity(
-            increment,
-            cov,
-            step_s,
-            gain,
-            self._least_var,
-            self.value,
-            self.var,
-            self.cross,
-            self.var_change,
-        )
+    @property
+    def value(self) -> FloatArray:
+        """(3,) [m/s, m/s, rad/s]."""
+        return np.asarray(self.table[0])
+
+    @property
+    def var(self) -> FloatArray:
+        """(3,) its variance."""
+        return np.asarray(self.table[1])
+
+    @property
+    def cross(self) -> FloatArray:
+        """(3,) covariance with the way that was predicted by it.
+
+        Down a bare corridor, where no match corrects it, one error of the velocity adds up over all steps.
+        """
+        return np.asarray(self.table[2])
+
+    @property
+    def var_change(self) -> FloatArray:
+        """(3,) variance of its change from scan to scan."""
+        return np.asarray(self.table[3])
 
 
 class PreviousMotion:
@@ -99,13 +98,15 @@ class PreviousMotion:
     def __init__(self, config: PreviousMotionConfig) -> None:
         self.config = config
         self.by_stamps, self.by_count = Velocity(config), Velocity(config)
-        self._error2_by_stamps = self._error2_by_count = 0.0  # means
+        self._errors2 = np.zeros(2)  # means, by stamps and by count
+        self._least_var = _squares(config.least_std_m_per_s, config.least_std_rad_per_s)
         self._n_missed = 0
 
     @property
     def is_by_count(self) -> bool:
         """Whether the steps count as equal."""
-        return self._error2_by_count < CLOCK_RATIO * self._error2_by_stamps
+        by_stamps, by_count = self._errors2.tolist()
+        return bool(by_count < CLOCK_RATIO * by_stamps)
 
     @property
     def velocity(self) -> Velocity:
@@ -130,7 +131,9 @@ class PreviousMotion:
 
     def increment(self, clock: ScanClock) -> FloatArray:
         """(3,) motion over the latest step of the clock."""
-        return min(self._step_s(clock), MAX_STEP_S) * self.velocity.value
+        if self.is_by_count:
+            return np.asarray(min(clock.usual_s, MAX_STEP_S) * self.by_count.value)
+        return np.asarray(min(clock.step_s, MAX_STEP_S) * self.by_stamps.value)
 
     def motion(self, clock: ScanClock, elapsed_s: float | None = None) -> Motion:
         """Predict the motion over the latest step of the clock, or over the time since another laser's scan.
@@ -151,14 +154,19 @@ class PreviousMotion:
 
     def learn(self, increment: FloatArray, cov: FloatArray, clock: ScanClock) -> None:
         """Take in an increment (3,) over the latest step that a match found, and its covariance (3, 3)."""
-        gain = 0.0 if self._n_missed else self.config.gain
-        if gain:
-            by_stamps = prediction_error2(clock.step_s * self.by_stamps.value, increment, LEVER_M, CAP_M)
-            by_count = prediction_error2(clock.usual_s * self.by_count.value, increment, LEVER_M, CAP_M)
-            self._error2_by_stamps += CLOCK_GAIN * (by_stamps - self._error2_by_stamps)
-            self._error2_by_count += CLOCK_GAIN * (by_count - self._error2_by_count)
-        self.by_stamps.learn(increment, cov, clock.step_s, gain)
-        self.by_count.learn(increment, cov, clock.usual_s, gain)
+        learn_velocities(
+            increment,
+            cov,
+            (clock.step_s, clock.usual_s),
+            0.0 if self._n_missed else self.config.gain,
+            LEVER_M,
+            CAP_M,
+            CLOCK_GAIN,
+            self._least_var,
+            self.by_stamps.table,
+            self.by_count.table,
+            self._errors2,
+        )
         self._n_missed = 0
 
     def miss(self) -> None:

@@ -221,7 +221,10 @@ class Propagation:
 
         What the matches share is that of the latest one that succeeded, so it stays.
         """
-        self.state = self.predicted._replace(cov_correlated=self.state.cov_correlated)
+        T_local_base, cov_prior, cov_independent, _, cov_odometry, cov_motion = self.predicted
+        self.state = MotionState(
+            T_local_base, cov_prior, cov_independent, self.state.cov_correlated, cov_odometry, cov_motion
+        )
         return self.state
 
     def start_keyframe(self) -> None:

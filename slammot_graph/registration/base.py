@@ -11,8 +11,7 @@ __all__ = ["Match", "MatchPrior", "MatchResult", "Matcher", "ReferenceScan"]
 ReferenceT_contra = TypeVar("ReferenceT_contra", contravariant=True)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MatchPrior:
+class MatchPrior(NamedTuple):
     """Where a match starts.
 
     Attributes

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from slammot_graph.core.linalg import covariance_of, invert
 from slammot_graph.core.results import MatchResult, MatchStatus
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap
-from slammot_graph.registration import _covariance_kernels, _scatter_kernels, _solve_kernels
+from slammot_graph.registration import _judge_kernels, _solve_kernels
 from slammot_graph.registration.base import Match, MatchPrior
 
 
@@ -87,8 +87,7 @@ class PointToLineConfig(Checked):
     search_rad: NotNegative = 0.15
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Solution:
+class _Solution(NamedTuple):
     T: FloatArray
     H: FloatArray
     g: FloatArray
@@ -228,7 +227,7 @@ def _solve(
         g,
         stats,
     )
-    return _Solution(T=T, H=H, g=g, stats=stats, iterations=iterations)
+    return _Solution(T, H, g, stats, iterations)
 
 
 def _starts_around(T: FloatArray, config: PointToLineConfig) -> list[FloatArray]:
@@ -254,22 +253,22 @@ def _judge(
     config: PointToLineConfig,
 ) -> tuple[MatchResult, FloatArray, FloatArray]:
     """Tell converged, degenerate and failed apart, and give the match its covariance."""
-    _, n_pairs, sum_weights, sum_squares = solution.stats.tolist()
+    n_used, n_pairs, sum_weights, sum_squares = solution.stats.tolist()
+    inlier_ratio = sum_weights / max(n_used, 1.0)
     residual_m = math.sqrt(sum_squares / max(sum_weights, 1e-9))
     reason = ""
     if n_pairs < config.min_pairs:
         reason = f"only {n_pairs:.0f} points found a partner"
-    elif solution.inlier_ratio < config.min_inlier_ratio:
-        reason = f"only {100 * solution.inlier_ratio:.0f}% of the points agree with the local map"
+    elif inlier_ratio < config.min_inlier_ratio:
+        reason = f"only {100 * inlier_ratio:.0f}% of the points agree with the local map"
     if reason:
         status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_independent_predicted, np.nan
         information, graph_information, gain_information, cov_correlated = np.zeros((4, 3, 3))
         innovation, cov_match = np.zeros(3), covariance_of(information)
     else:
-        T, T_free, innovation = solution.T, np.empty(3), np.empty(3)
-        white, common, inherited, information, graph_information, gain_information = np.empty((6, 3, 3))
-        cov_independent, cov_correlated, cov_map, cov_match, cov = np.empty((5, 3, 3))
-        _scatter_kernels.residual_scatter(
+        T, T_free, innovation, matrices = solution.T, np.empty(3), np.empty(3), np.empty((6, 3, 3))
+        least_m = max(residual_m, config.least_residual_m)
+        n_weak, nis = _judge_kernels.judge_match(
             local_map.points,
             local_map.normals,
             local_map.nearest,
@@ -278,7 +277,12 @@ def _judge(
             points_base,
             is_static,
             laser_base,
-            T,
+            T_predicted,
+            cov_predicted,
+            cov_independent_predicted,
+            solution.H,
+            solution.g,
+            n_pairs,
             local_map.config.reach_m**2,
             config.kernel_scale_m**2,
             config.point_weight,
@@ -286,38 +290,21 @@ def _judge(
             local_map.owner,
             local_map.T_local_keyframes,
             local_map.keyframe_roots,
-            white,
-            common,
-            inherited,
-        )
-        n_weak = _covariance_kernels.match_covariance(
-            points_base,
-            is_static,
-            T_predicted,
-            T,
-            solution.H,
-            solution.g,
-            white,
-            common,
-            inherited,
-            n_pairs,
             config.residual_std_m,
             config.floor_std_m,
-            config.noise_ratio * max(residual_m, config.least_residual_m),
-            config.line_ratio * max(residual_m, config.least_residual_m),
+            config.noise_ratio * least_m,
+            config.line_ratio * least_m,
             config.correlated_std_m,
             config.correlated_std_rad,
             config.kernel_scale_m,
             config.weak_ratio,
             config.fragile_pairs,
+            T,
             T_free,
-            information,
-            graph_information,
-            gain_information,
-            cov_independent,
-            cov_correlated,
-            cov_map,
+            innovation,
+            matrices,
         )
+        information, graph_information, gain_information, cov_correlated, cov_match, cov = matrices
         status = ("converged", "degenerate", "degenerate", "failed")[n_weak]
         if n_weak:
             reason = (
@@ -325,13 +312,6 @@ def _judge(
                 if n_weak == 3
                 else f"{n_weak} of 3 directions are not determined"
             )
-        nis = _covariance_kernels.innovate(
-            T_predicted, T_free, cov_predicted, graph_information, information, innovation, cov_match
-        )
-        nis = nis if n_weak < 3 else np.nan
-        _covariance_kernels.fuse(
-            cov_predicted, cov_independent_predicted, gain_information, cov_independent, cov_map, cov
-        )
     match_status: MatchStatus = status  # type: ignore[assignment]
     result = MatchResult(
         status=match_status,
@@ -345,7 +325,7 @@ def _judge(
         nis=nis,
         n_iterations=solution.iterations,
         n_correspondences=int(n_pairs),
-        inlier_ratio=solution.inlier_ratio,
+        inlier_ratio=inlier_ratio,
         residual_m=residual_m,
         reason=reason,
     )

@@ -44,7 +44,7 @@ class Track:
     unseen_s: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class ScanView:
     """A scan of n beams as a tracker sees it: what was found, and where the laser looked. Frame: the tracker's.
 

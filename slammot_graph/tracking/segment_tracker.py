@@ -101,6 +101,10 @@ class SegmentTracker:
         """
         dt = self._clock.advance(stamp_s)
         table = self._table
+        if view is None and not len(centres) and not table.n:
+            table.n_latest = 0, 0
+            self._on_objects = np.empty((2, 0), dtype=np.bool_)
+            return
         if view is None:
             rows, segment = self._segments(centres, centre_covs, beams, is_proven)
             table.reserve(len(rows))

@@ -138,7 +138,7 @@ def test_the_kernel_gets_narrower_in_a_crowd() -> None:
     is_valid = np.ones(100, dtype=np.bool_)
     for n_moving, factor in ((0, 1.0), (15, 1.0), (16, 0.84**2), (30, 0.7**2), (60, 0.4)):
         is_moving = np.arange(100) < n_moving
-        found = replace(Detection.nothing(is_valid), is_moving=is_moving)
+        found = Detection.nothing(is_valid)._replace(is_moving=is_moving)
         assert detector.kernel_factor(found, is_valid) == pytest.approx(factor)
         careless = EllipseDetector(EllipseDetectorConfig(retest=None), max_range_m=9.0)
         assert careless.kernel_factor(found, is_valid) == 1.0

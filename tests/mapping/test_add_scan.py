@@ -57,3 +57,19 @@ def test_beams_without_a_return_free_what_is_near(
 def test_impossible_settings_are_refused(changes: dict[str, float], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         NoReturnConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_a_rolling_grid_takes_in_a_scan_as_a_fixed_one_does(rng: np.random.Generator) -> None:
+    config = GridConfig(no_return=NoReturnConfig(reach_m=1.0, min_run=25))
+    fixed, rolling = OccupancyGrid(config), OccupancyGrid(config, window_m=40.0)
+    for k in range(3):
+        T_k = T + rng.normal(0.0, 0.1, 3)
+        scan = take_scan(T_k, walls=ROOM)
+        scan.ranges[90:130] = LASER.range_max
+        points, is_valid = scan.points(T_k), scan.is_valid()
+        for grid in (fixed, rolling):
+            grid.add_scan(k, scan, T_k, points, is_valid, is_valid & ~IS_MOVING)
+    np.testing.assert_array_equal(
+        fixed.crop(T[:2], 8.0).p_occupied, rolling.crop(T[:2], 8.0).p_occupied, strict=True
+    )
+    assert np.count_nonzero(fixed.crop(T[:2], 8.0).p_occupied < 0.5) > 500

@@ -151,3 +151,20 @@ def test_a_velocity_is_filtered_axis_by_axis(seed: int, step_s: float, gain: flo
     kernels.learn_velocity(increment, cov, step_s, gain, least, velocity, var, cross, var_change)
     for found, right in zip((velocity, var, cross, var_change), expected, strict=True):
         np.testing.assert_allclose(found, right, rtol=1e-6)
+
+
+@given(seeds, st.sampled_from([0.0, 0.15]))
+def test_two_velocities_learn_as_each_does(seed: int, gain: float) -> None:
+    rng = np.random.default_rng(seed)
+    increment, cov, least, errors2 = rng.normal(0.0, 0.1, 3), covariance(rng), np.full(3, 1e-3), np.ones(2)
+    steps_s = (0.1, 0.2)
+    tables = [rng.uniform(0.01, 0.2, (4, 3)) for _ in steps_s]
+    expected = [table.copy() for table in tables]
+    kernels.learn_velocities(
+        increment, cov, steps_s, gain, 2.0, 0.5, 0.02, least, tables[0], tables[1], errors2
+    )
+    for k, (step_s, table) in enumerate(zip(steps_s, expected, strict=True)):
+        error2 = kernels.prediction_error2(step_s * table[0], increment, 2.0, 0.5)
+        assert errors2[k] == (1.0 + 0.02 * (error2 - 1.0) if gain else 1.0)
+        kernels.learn_velocity(increment, cov, step_s, gain, least, *table)
+        np.testing.assert_array_equal(tables[k], table)
