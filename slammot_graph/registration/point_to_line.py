@@ -265,10 +265,12 @@ def _judge(
         status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_independent_predicted, np.nan
         information, graph_information, gain_information, cov_correlated = np.zeros((4, 3, 3))
         innovation, cov_match = np.zeros(3), covariance_of(information)
+        cov_map, map_scatter = np.zeros((3, 3)), None
     else:
         T, T_free, innovation = solution.T, np.empty(3), np.empty(3)
         white, common, inherited, information, graph_information, gain_information = np.empty((6, 3, 3))
         cov_independent, cov_correlated, cov_map, cov_match, cov = np.empty((5, 3, 3))
+        map_scatter = np.empty((len(local_map.T_local_keyframes), 3, 3))
         _scatter_kernels.residual_scatter(
             local_map.points,
             local_map.normals,
@@ -289,6 +291,7 @@ def _judge(
             white,
             common,
             inherited,
+            map_scatter,
         )
         n_weak = _covariance_kernels.match_covariance(
             points_base,
@@ -342,6 +345,8 @@ def _judge(
         graph_information=graph_information,
         hessian_information=gain_information,
         cov_correlated=cov_correlated,
+        cov_map=cov_map,
+        map_scatter=map_scatter,
         nis=nis,
         n_iterations=solution.iterations,
         n_correspondences=int(n_pairs),

@@ -44,6 +44,7 @@ def scatter(scan: Scan, local_map: LocalMap, T: FloatArray) -> tuple[FloatArray,
         white,
         common,
         inherited,
+        np.empty((len(local_map.T_local_keyframes), 3, 3)),
     )
     return white, common, inherited
 
