@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -18,7 +19,9 @@ from slammot_graph.registration.point_to_line import PointToLineConfig, match_to
 from slammot_graph.simulation import simulate
 
 try:
-    import small_gicp  # type: ignore[import-not-found]
+    small_gicp: ModuleType | None = import_module(
+        "small_gicp"
+    )  # left out of the table where it is not installed
 except ImportError:
     small_gicp = None
 
@@ -91,7 +94,7 @@ def cell(scenario: str, seed: int) -> Scores:
 
 
 def _error(T: FloatArray, truth: FloatArray) -> FloatArray:
-    return pose_errors(T[None], truth[None])[0]
+    return np.asarray(pose_errors(T[None], truth[None])[0])
 
 
 def gicp(
@@ -113,11 +116,15 @@ def gicp(
         max_correspondence_distance=0.4,
         num_threads=1,
     )
-    T = result.T_target_source
+    T: FloatArray = np.asarray(result.T_target_source, dtype=np.float64)
     planar = [3, 4, 2]  # rotations come first; x, y, heading
-    variance = 2.0 * result.error / max(result.num_inliers, 1)
+    variance = float(2.0 * result.error / max(result.num_inliers, 1))
     H = np.array(result.H)[np.ix_(planar, planar)] / len(HEIGHTS_M)
-    return np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])]), np.linalg.pinv(H), variance
+    return (
+        np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])]),
+        np.asarray(np.linalg.pinv(H), dtype=np.float64),
+        variance,
+    )
 
 
 def _raised(points: FloatArray) -> FloatArray:
@@ -186,7 +193,7 @@ def experiment(options: Options) -> None:
         f" NEES of 3 ({bounds.lower:.2f} to {bounds.upper:.2f} if a run is worth one sample) and a median of 2.37.",
     ]
     if small_gicp is None:
-        notes.append("small_gicp is not installed (`pip install small_gicp`): left out.")
+        notes.append("small_gicp is not installed (`pip install slammot-graph[matchers]`): left out.")
     rows = [_row(METHODS[method], name, method, mean) for method in methods for name in names]
     columns = ["covariance", "scenario", "average NEES", "median NEES", "within 95%"]
     tables = [Table(heading="Covariances of a match", columns=columns, rows=rows)]

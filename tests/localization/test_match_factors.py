@@ -30,7 +30,7 @@ KEYFRAMES = [keyframe(4, 1.0), keyframe(5, 1.5), keyframe(-1, 2.0), keyframe(6, 
 
 def scatter_of(told_x: list[float]) -> FloatArray:
     """Part of the normal matrix by keyframe: all tell of y and heading, each so much of x."""
-    return np.array([np.diag([x, 100.0, 100.0]) for x in told_x])
+    return np.array([np.diag([x, 100.0, 100.0]) for x in told_x], dtype=np.float64)
 
 
 MATCH = match_with(
@@ -67,7 +67,7 @@ def test_directions_without_information_stay_so(angle: float) -> None:
     R = np.eye(3)
     R[:2, :2] = se2.rotation(angle)
     information, cov_map = R @ np.diag([0.0, 1e4, 1e5]) @ R.T, R @ np.diag([4.0, 1e-3, 1e-2]) @ R.T
-    scatter = np.array([R @ part @ R.T for part in scatter_of([0, 0, 0, 0])]) * np.arange(4)[:, None, None]
+    scatter = np.array([R @ part @ R.T for part in scatter_of([0, 0, 0, 0])]) * np.arange(4.0)[:, None, None]
     factors = match_factors(
         replace(MATCH, graph_information=information, cov_map=cov_map, map_scatter=scatter), KEYFRAMES
     )
