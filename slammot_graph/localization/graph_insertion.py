@@ -246,6 +246,7 @@ class GraphInsertion:
         if not self.closer.is_sought(self.n_times_lost):
             self.keyframes.place_node(self.graph.pose(len(self.graph) - 1))
             self.cov_anchor = self.graph.marginal(self.anchor(se2.IDENTITY)[0])
+            self.keyframes.common_errors.close_loop(self.common_solution(self.graph.poses()))
         return closures
 
     def saved_map(self, nodes: FloatArray, path_m: float, report: OdometryReport) -> SavedMap:
