@@ -177,7 +177,7 @@ def karto_covariance(target: FloatArray, source: FloatArray, T: FloatArray) -> F
 
 def experiment(options: Options) -> None:
     """Average NEES and coverage of four covariances of a match on the same pairs of simulated scans."""
-    seeds = [FIRST_SEED + seed for seed in options.seed_range(FULL_SEEDS, quick=1)]
+    seeds = [FIRST_SEED + seed for seed in options.seed_range(FULL_SEEDS)]
     names = SCENARIOS[:1] if options.quick else SCENARIOS
     cells = {f"{name} {seed}": {"scenario": name, "seed": seed} for name in names for seed in seeds}
     scores = run_cells("match_covariances", cell, cells, options)
