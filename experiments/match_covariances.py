@@ -46,7 +46,7 @@ HEIGHTS_M = (-0.1, 0.0, 0.1)
 METHODS = {
     "ours": "`graph`'s match",
     "gicp": "small_gicp, inverse of its Hessian",
-    "scaled": "the same, scaled by its residuals",
+    "scaled": "small_gicp, scaled by its residuals",
     "karto": "Karto's response-weighted covariance, at our pose",
     "kiss": "kiss-icp's constant 0.1, at our pose",
 }
