@@ -64,6 +64,7 @@ ENTRIES = (
     Entry(name="ablation", what="Every method on every scenario"),
     Entry(name="noise_sweep", what="Odometry noise against people", figure="noise_sweep"),
     Entry(name="consistency", what="Are the covariances consistent?"),
+    Entry(name="match_covariances", what="Whose covariance of a match is right?", arguments=("--seeds", "3")),
     Entry(
         name="covariance_ablation",
         what="Which covariance for the moving-point test?",

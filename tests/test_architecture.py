@@ -328,7 +328,7 @@ def test_what_the_package_imports_is_declared() -> None:
 
 
 def test_what_tests_and_experiments_import_is_declared() -> None:
-    known = declared("crowds", "dev", "docs", "experiments", "places", "trackers")
+    known = declared("crowds", "dev", "docs", "experiments", "matchers", "places", "trackers")
     assert not undeclared(known, "tests", "experiments", "notebooks", "docs")
 
 

@@ -48,6 +48,8 @@ class MatchResult:
         What the match's normal equations alone claim, all residuals taken for independent: far too much.
     cov_correlated : (3, 3) array
         The part of `cov` that the matches of the next scans share (the same lines of the same local map).
+    cov_map : (3, 3) array; map_scatter : (k, 3, 3) array or None
+        What the local map's keyframes bring in beyond `cov`; the normal matrix by the points of each of them.
     n_iterations, n_correspondences : int
     inlier_ratio : float
         Share of the matched points that found a partner and agree with it.
@@ -77,6 +79,8 @@ class MatchResult:
     nis: float = math.nan
     reason: str = ""
     contradicts_odometry: bool = False
+    cov_map: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    map_scatter: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -386,9 +390,8 @@ class RunResult:
         Parameters
         ----------
         directory : str or Path
-            Made with the folders above it.
         overwrite : bool
-            Replace a run that is already there; other files in the folder stay.
+            Replace a run that is there; other files in the folder stay.
 
         Raises
         ------

@@ -11,12 +11,15 @@ from slammot_graph.core.results import ClosureAttempt, MatchResult
 from slammot_graph.core.saved_map import MapStart, SavedMap, SavedRun
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph
+from slammot_graph.graph.common_errors import solution_errors
 from slammot_graph.localization.base import FIRST_COV
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.keyframe_state import KeyframeState
+from slammot_graph.localization.match_factors import match_factors
 from slammot_graph.loop_closure import LoopCloser, Submap
 from slammot_graph.loop_closure.saved_submaps import calibration_of, load_submaps, save_submaps
 from slammot_graph.mapping.local_map import Keyframe, LocalMap
+from slammot_graph.odometry.noise import NOTHING_COMMON
 from slammot_graph.odometry.propagation import MotionState
 
 ANYWHERE: FloatArray = np.diag(np.square([1e3, 1e3, 10.0]))
@@ -129,7 +132,12 @@ class GraphInsertion:
         return n == full - 1 or n % (full - local_map.n_overlap) == 0
 
     def add_node(
-        self, scan: int, T_local_base: FloatArray, T_odom_base: FloatArray, match: MatchResult | None
+        self,
+        scan: int,
+        T_local_base: FloatArray,
+        T_odom_base: FloatArray,
+        match: MatchResult | None,
+        common_stds: FloatArray = NOTHING_COMMON,
     ) -> int:
         """Add a node, tied by odometry to the last one and by the match to the anchor.
 
@@ -140,6 +148,8 @@ class GraphInsertion:
         T_local_base, T_odom_base : (3,) arrays
             By the matches, and dead-reckoned.
         match : MatchResult or None
+        common_stds : (4,) array
+            Of what the odometry's errors have in common, see `MotionModel`.
 
         Returns
         -------
@@ -160,6 +170,7 @@ class GraphInsertion:
             node = self.graph.add_node(T_map_node)
             T_last_node = keyframes.since_node(T_odom_base)
             information = invert(keyframes.cov_since_node)
+            self.keyframes.common_errors.move(node, T_last_node, keyframes.cov_since_node, common_stds)
             if self.graph.try_edge("odometry", last, node, T_last_node, information) is None:
                 # a node needs an edge: by the matches, as weak as what is known of a lost robot
                 T_by_matches = se2.between(self.graph.pose(last), T_map_node)
@@ -168,8 +179,10 @@ class GraphInsertion:
                 self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
             self._was_blind = False
             if match is not None and match.status != "failed" and self.local_map.keyframes:
-                anchor = self.local_map.anchor.node
-                self.graph.try_edge("match", anchor, node, match.T_ref_base, match.graph_information)
+                factors = match_factors(match, self.local_map.keyframes)
+                for factor in factors:
+                    self.graph.try_edge("match", factor.node, node, factor.T_node_base, factor.information)
+                self.keyframes.common_errors.match(node, *factors[0])
         keyframes.start_node(T_odom_base, T_local_base, T_map_node)
         self.node_scans.append(scan)
         return node
@@ -200,6 +213,8 @@ class GraphInsertion:
         if finished and self.closer is not None:
             submap = self._submap(finished, path_m)
             closures = self.closer.consider(submap)
+            if any(closure.status == "accepted" for closure in closures):
+                self.keyframes.common_errors.close_loop(self.common_solution(self.graph.poses()))
             if self.closer.is_sought(self.n_times_lost):
                 self.closer.request(submap)
         elif self.closer is not None and self._seeks_early():
@@ -209,6 +224,7 @@ class GraphInsertion:
             keyframes.place_node(self.graph.pose(node))
             self.cov_anchor = self.graph.marginal(anchor)
             keyframes.cov_keyframe = FIRST_COV if is_first else self.graph.relative_covariance(anchor, node)
+            self.keyframes.common_errors.start_local_map(anchor, node, keyframes.cov_keyframe)
         if is_first:
             self.local_factors.start(state.T_local_base)
             state = state._replace(cov_independent=FIRST_COV, cov_correlated=np.zeros((3, 3)))
@@ -218,6 +234,10 @@ class GraphInsertion:
             state = state._replace(cov_independent=covs[-1])
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
 
+    def common_solution(self, nodes: FloatArray) -> FloatArray:
+        """Errors (n, 3, 4) of the graph's nodes (n, 3) by what the odometry's errors have in common."""
+        return solution_errors(nodes, self.graph.edges, self.keyframes.common_errors.of_factors)
+
     def search_on(self) -> tuple[ClosureAttempt, ...]:
         """Take the search for the latest component a step further; gives the closures tried."""
         if self.closer is None or not self.closer.is_sought(self.n_times_lost) or not self.has_node:
@@ -226,6 +246,7 @@ class GraphInsertion:
         if not self.closer.is_sought(self.n_times_lost):
             self.keyframes.place_node(self.graph.pose(len(self.graph) - 1))
             self.cov_anchor = self.graph.marginal(self.anchor(se2.IDENTITY)[0])
+            self.keyframes.common_errors.close_loop(self.common_solution(self.graph.poses()))
         return closures
 
     def saved_map(self, nodes: FloatArray, path_m: float, report: OdometryReport) -> SavedMap:

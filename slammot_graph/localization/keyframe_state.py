@@ -6,6 +6,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization.base import FIRST_COV, fuse
+from slammot_graph.localization.common_errors import CommonErrors
 
 
 class KeyframeState:
@@ -18,6 +19,8 @@ class KeyframeState:
     T_local_node : (3,) array
     T_map_local : (3,) array
         The local frame in the map, by the optimised pose of a node.
+    common_errors : CommonErrors
+        What the odometry's errors have in common has done to the nodes.
     cov_since_node : (3, 3) array
         Of the odometry's motion from the node to the keyframe.
     cov_keyframe : (3, 3) array
@@ -29,6 +32,7 @@ class KeyframeState:
         self.T_odom_keyframe: FloatArray = se2.IDENTITY
         self.T_odom_node: FloatArray = se2.IDENTITY
         self.T_local_node: FloatArray = se2.IDENTITY
+        self.common_errors = CommonErrors()
         self.T_map_local: FloatArray = se2.IDENTITY
         self.cov_since_node: FloatArray = np.zeros((3, 3))
         self.cov_keyframe: FloatArray = FIRST_COV

@@ -142,7 +142,13 @@ class ScanToMap:
             insertion.advance(state, T_odom_base, self._match)
             propagation.start_keyframe()
             if insertion.needs_node():
-                node = insertion.add_node(scan.index, state.T_local_base, T_odom_base, self._match)
+                node = insertion.add_node(
+                    scan.index,
+                    state.T_local_base,
+                    T_odom_base,
+                    self._match,
+                    propagation.model.common_stds,
+                )
             if has_points:
                 closures = self._add_keyframe(node, scan, points_base, is_static)
         closures += insertion.search_on()
@@ -194,6 +200,8 @@ class ScanToMap:
             )
         graph = self.graph.snapshot()
         nodes, marginals = graph.poses(), graph.marginals()
+        common = self.insertion.common_solution(nodes)
+        marginals = marginals + common @ np.swapaxes(common, 1, 2)
         T_map_base, cov_map = self._scan_poses.trajectory(nodes, marginals)
         return FinalEstimate(
             T_map_base=T_map_base,
@@ -228,10 +236,11 @@ class ScanToMap:
         anchor, T_anchor_base = self.insertion.anchor(state.T_local_base)
         cov_relative = state.cov_relative
         node_scans = self.insertion.node_scans
+        cov_anchor = self.insertion.cov_anchor + self.insertion.keyframes.common_errors.cov(anchor)
         return Estimate(
             T_local_base=state.T_local_base,
             cov_relative=cov_relative,
-            cov_absolute=se2.compound_covariance(self.insertion.cov_anchor, T_anchor_base, cov_relative),
+            cov_absolute=se2.compound_covariance(cov_anchor, T_anchor_base, cov_relative),
             T_anchor_base=T_anchor_base,
             anchor_scan=node_scans[anchor] if node_scans else -1,
         )

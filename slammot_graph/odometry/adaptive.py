@@ -30,7 +30,7 @@ from slammot_graph.odometry.deskew import (
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.innovation_noise import InnovationNoise, InnovationNoiseConfig
 from slammot_graph.odometry.motion import MatchedPose, Motion
-from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.noise import NOTHING_COMMON, ConstantNoise, OdometryNoise
 from slammot_graph.odometry.prediction_record import Located, PredictionRecord
 from slammot_graph.odometry.previous_motion import PreviousMotion, PreviousMotionConfig
 
@@ -196,6 +196,22 @@ class AdaptiveOdometry:
     def match_noise_scale(self) -> float:
         """See `MotionModel`."""
         return self.innovations.match_scale
+
+    @property
+    def common_stds(self) -> FloatArray:
+        """See `MotionModel`: of the calibration, or of the noise model where nothing is calibrated."""
+        if not self._record.is_odometry_used:
+            return NOTHING_COMMON
+        now = self.calibration.now
+        stds = np.array(
+            [
+                now.distance_scale.std,
+                now.direction_rad.std,
+                now.heading_bias_rad_per_m.std,
+                now.heading_scale.std,
+            ]
+        )
+        return np.where(np.isfinite(stds), stds, self.noise.common_stds)
 
     @property
     def is_contradicted(self) -> bool:

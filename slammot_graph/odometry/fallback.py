@@ -36,6 +36,11 @@ class OdometryOrPreviousMotion:
         self._T_local_before: FloatArray | None = None
         self._is_first = True
 
+    @property
+    def common_stds(self) -> FloatArray:
+        """See `MotionModel`: as the noise model has it."""
+        return self.noise.common_stds
+
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`."""
         self._clock.advance(scan.stamp)

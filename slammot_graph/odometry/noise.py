@@ -9,6 +9,10 @@ import numpy as np
 from slammot_graph.core.checks import Checked, NotNegative, Positive
 from slammot_graph.core.types import FloatArray
 
+NOTHING_COMMON: FloatArray = np.zeros(4)
+NOTHING_COMMON.setflags(write=False)
+"""Standard deviations of what the errors of increments have in common, where that is nothing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryNoise(Checked):
@@ -34,6 +38,11 @@ class OdometryNoise(Checked):
     std_rad_per_sqrt_rad: NotNegative = 0.05
     ratio_m_per_m: NotNegative = 0.05
     ratio_rad_per_rad: NotNegative = 0.1
+
+    @property
+    def common_stds(self) -> FloatArray:
+        """(4,) standard deviations of what the errors of all increments have in common; see `MotionModel`."""
+        return np.array([self.ratio_m_per_m, 0.0, 0.0, self.ratio_rad_per_rad])
 
     def covariance(self, increment: FloatArray) -> FloatArray:
         """(3, 3) covariance of a (3,) increment [m, m, rad], right perturbation (body frame)."""
@@ -76,6 +85,11 @@ class ConstantNoise(Checked):
     x_std_m: Positive = 0.1
     y_std_m: Positive = 0.1
     theta_std_rad: Positive = 0.05
+
+    @property
+    def common_stds(self) -> FloatArray:
+        """(4,) zeros: the errors of increments are independent."""
+        return NOTHING_COMMON
 
     def covariance(self, increment: FloatArray) -> FloatArray:
         """(3, 3) covariance; the (3,) increment does not matter."""

@@ -35,6 +35,13 @@ class MotionModel(Protocol):
     def match_noise_scale(self) -> float:
         """How much larger the matches' standard deviations are than they claim, at least 1."""
 
+    @property
+    def common_stds(self) -> FloatArray:
+        """(4,) standard deviations of what the errors of all increments have in common.
+
+        Scale of the distance, direction [rad], heading bias [rad/m] and scale of the turn.
+        """
+
     def advance(self, scan: Scan) -> Motion | None:
         """Move on to the next scan: the motion since the one before, None at the first."""
 
@@ -69,6 +76,11 @@ class WheelOdometry:
         self._is_first = True
         self._clock = ScanClock()
         self._latest: Motion | None = None
+
+    @property
+    def common_stds(self) -> FloatArray:
+        """See `MotionModel`: as the noise model has it."""
+        return self.noise.common_stds
 
     def advance(self, scan: Scan) -> Motion | None:
         """See `MotionModel`.

@@ -74,8 +74,18 @@ def stds_of(fit: RobustFit, prior_std: FloatArray, n_series: int = 1) -> list[fl
     scores = fit.scores.reshape(n_series, -1, len(fit.x)).sum(axis=0)
     # the gradient's slope is less than the weights, for a residual counts less the larger it is
     spread = SLOPE_OF_WEIGHTS**-2.0 * cov @ long_run_variance(scores) @ cov
-    stds = np.sqrt(np.maximum(np.diag(cov), np.diag(spread)))
+    stds = np.sqrt(np.maximum(np.diag(cov), few_samples(len(scores)) ** 2 * np.diag(spread)))
     return [float(std) if std < 0.5 * prior else math.inf for std, prior in zip(stds, prior_std, strict=True)]
+
+
+def few_samples(n: int) -> float:
+    """How much larger a standard deviation by `long_run_variance` must be for its interval to hold 95% of n rows.
+
+    With so many lags in so few rows it is too small, and uncertain: the critical values are those of Kiefer and
+    Vogelsang (2005), Table 1, for the share b of the lags in the rows.
+    """
+    b = min((N_LAGS + 1.0) / n, 1.0)
+    return (1.96 + 2.9694 * b + 0.4160 * b**2 - 0.5324 * b**3) / 1.96
 
 
 def long_run_variance(scores: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ def residual_scatter(
     white: FloatArray,
     common: FloatArray,
     inherited: FloatArray,
+    by_keyframe: FloatArray,
 ) -> None:
     """Scatter of the normal equations' right-hand side for unit noise, pairs and weights as in `accumulate`.
 
@@ -39,13 +40,14 @@ def residual_scatter(
     line through the earlier one's. `inherited` is what the keyframes' own errors bring in: keyframe number
     ``owner[map point]`` lies at ``keyframes`` (k, 3) with an error of covariance ``root root'``, `roots` (k, 3, 3) in
     its body frame; the errors of different keyframes are taken as fully correlated, in the local frame's axes.
+    `by_keyframe` (k, 3, 3) gets the sum of ``w J' J`` over the points of each.
     """
-    by_keyframe = np.zeros((keyframes.shape[0], 3, 3))
     c = math.cos(T[2])
     s = math.sin(T[2])
     is_swept = lasers.shape[0] > 1
     laser_x = T[0] + c * lasers[0, 0] - s * lasers[0, 1]
     laser_y = T[1] + s * lasers[0, 0] + c * lasers[0, 1]
+    by_keyframe[:] = 0.0
     white[:] = 0.0
     common[:] = 0.0
     row = np.zeros(3)

@@ -265,8 +265,10 @@ def _judge(
         status, T, T_free, cov, nis = "failed", T_predicted, T_predicted, cov_independent_predicted, np.nan
         information, graph_information, gain_information, cov_correlated = np.zeros((4, 3, 3))
         innovation, cov_match = np.zeros(3), covariance_of(information)
+        cov_map, map_scatter = np.zeros((3, 3)), None
     else:
-        T, T_free, innovation, matrices = solution.T, np.empty(3), np.empty(3), np.empty((6, 3, 3))
+        T, T_free, innovation, matrices = solution.T, np.empty(3), np.empty(3), np.empty((7, 3, 3))
+        map_scatter = np.empty((len(local_map.T_local_keyframes), 3, 3))
         least_m = max(residual_m, config.least_residual_m)
         n_weak, nis = _judge_kernels.judge_match(
             local_map.points,
@@ -302,9 +304,10 @@ def _judge(
             T,
             T_free,
             innovation,
+            map_scatter,
             matrices,
         )
-        information, graph_information, gain_information, cov_correlated, cov_match, cov = matrices
+        information, graph_information, gain_information, cov_correlated, cov_match, cov, cov_map = matrices
         status = ("converged", "degenerate", "degenerate", "failed")[n_weak]
         if n_weak:
             reason = (
@@ -322,6 +325,8 @@ def _judge(
         graph_information=graph_information,
         hessian_information=gain_information,
         cov_correlated=cov_correlated,
+        cov_map=cov_map,
+        map_scatter=map_scatter,
         nis=nis,
         n_iterations=solution.iterations,
         n_correspondences=int(n_pairs),

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import common, extra_moving_points, fit_p_moving
+from experiments import common, extra_moving_points, fit_p_moving, match_covariances
 from slammot_graph.detection.probability import NAMES, WEIGHTS
 from tests.experiments.test_scripts import assert_drawn, quick
 
@@ -13,6 +13,20 @@ from tests.experiments.test_scripts import assert_drawn, quick
 def test_consistency(tmp_path: Path) -> None:
     text = quick("consistency", tmp_path, ("raw Hessian", "constant R_r", "average NEES", "mean NIS"))
     assert "lab" in text
+
+
+def test_match_covariances(tmp_path: Path) -> None:
+    quick("match_covariances", tmp_path, ("`graph`'s match", "Karto", "kiss-icp"))
+
+
+def test_the_covariance_of_responses_is_wide_along_a_wall() -> None:
+    wall = np.column_stack([np.linspace(-3.0, 3.0, 200), np.full(200, 1.0)])
+    cov = match_covariances.karto_covariance(wall, wall, np.zeros(3))
+    assert cov[0, 0] > 20.0 * cov[1, 1]
+    turned = match_covariances.karto_covariance(
+        wall, wall[:, ::-1] * [1.0, -1.0], np.array([0.0, 0.0, np.pi / 2])
+    )
+    np.testing.assert_allclose(turned[1, 1], cov[0, 0], rtol=0.1)  # of the body's own axes
 
 
 def test_covariance_ablation(tmp_path: Path) -> None:

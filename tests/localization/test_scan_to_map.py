@@ -217,6 +217,7 @@ class PreviousMotion:
 
     is_contradicted = False
     match_noise_scale = 1.0
+    common_stds = np.zeros(4)
 
     def __init__(self) -> None:
         self.T_odom_base: FloatArray = np.zeros(3)

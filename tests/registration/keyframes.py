@@ -110,18 +110,17 @@ def lines_of(pairs: Pairs, local_map: LocalMap) -> list[list[int]]:
     return lines
 
 
-def scatter_twin(
-    pairs: Pairs, local_map: LocalMap, T: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def scatter_twin(pairs: Pairs, local_map: LocalMap, T: FloatArray) -> tuple[FloatArray, ...]:
     weighted = pairs.weights[:, None] * pairs.rows
     of_lines = np.array([weighted[line].sum(axis=0) for line in lines_of(pairs, local_map)])
-    moved = np.zeros((3, 3))
+    moved, by_keyframe = np.zeros((3, 3)), []
     for k, (T_keyframe, root) in enumerate(
         zip(local_map.T_local_keyframes, local_map.keyframe_roots, strict=True)
     ):
         own = local_map.owner[pairs.numbers] == k
+        by_keyframe.append(weighted[own].T @ pairs.rows[own])
         T_base_keyframe = se2.between(T, T_keyframe)
         axes = np.eye(3)
         axes[:2, :2] = se2.rotation(T_keyframe[2])  # one error for all, in the axes of the local frame
-        moved += weighted[own].T @ pairs.rows[own] @ se2.adjoint(T_base_keyframe) @ root @ axes.T
-    return weighted.T @ weighted, of_lines.T @ of_lines, moved @ moved.T
+        moved += by_keyframe[-1] @ se2.adjoint(T_base_keyframe) @ root @ axes.T
+    return weighted.T @ weighted, of_lines.T @ of_lines, moved @ moved.T, np.array(by_keyframe)

@@ -101,7 +101,7 @@ def judge_twin(
     values, V = values[strong], V[:, strong]
     B, F = scale @ V, np.linalg.inv(scale) @ V
     pseudo = B @ np.diag(1.0 / values) @ B.T
-    white, common, inherited = parts
+    white, common, inherited = parts[:3]
     project = B @ F.T
     pose_part = np.diag([config.correlated_std_m, config.correlated_std_m, config.correlated_std_rad]) ** 2
     fragile = B @ np.diag((config.kernel_scale_m * (config.fragile_pairs / values) ** 2) ** 2) @ B.T
