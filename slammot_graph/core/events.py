@@ -18,6 +18,9 @@ EventKind = Literal[
 ]
 Severity = Literal["info", "warning", "error"]
 
+FOUND_AGAIN = "found again"
+"""So the reason of the closure begins by which a lost robot's place became known."""
+
 SEVERITIES: Mapping[EventKind, Severity] = {
     "match failed": "warning",
     "lost": "error",

@@ -128,9 +128,6 @@ _CLOSURE_EVENTS: Mapping[ClosureStatus, EventKind] = {
     "outlier": "closure rejected",
 }
 
-FOUND_AGAIN = "found again"
-"""So the reason of the closure begins by which a lost robot's place became known."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosureAttempt:

@@ -2,7 +2,8 @@
 
 from collections import Counter
 
-from slammot_graph.core.results import FOUND_AGAIN, Health, MatchStatus, StepResult
+from slammot_graph.core.events import FOUND_AGAIN
+from slammot_graph.core.results import Health, MatchStatus, StepResult
 from slammot_graph.diagnosis.consistency import InnovationConsistency
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
 from slammot_graph.diagnosis.odometry import OdometryStatistics

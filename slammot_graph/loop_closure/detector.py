@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.events import FOUND_AGAIN
 from slammot_graph.core.linalg import mahalanobis2
-from slammot_graph.core.results import FOUND_AGAIN, ClosureAttempt, GraphEdge
+from slammot_graph.core.results import ClosureAttempt, GraphEdge
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.loop_closure.closure import Closure, make_attempt

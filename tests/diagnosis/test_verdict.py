@@ -5,10 +5,9 @@ from typing import Any, get_args
 
 import pytest
 
-from slammot_graph.core.events import make_event
+from slammot_graph.core.events import FOUND_AGAIN, make_event
 from slammot_graph.core.findings import FindingKind
 from slammot_graph.core.odometry_report import Estimated, OdometryReport
-from slammot_graph.core.results import FOUND_AGAIN
 from slammot_graph.diagnosis import RunStatistics, diagnose, limits_of
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.health import HealthMonitor

@@ -140,12 +140,12 @@ def test_too_few_local_maps_are_not_weighed() -> None:
 
 def test_a_place_that_much_speaks_against_is_not_believed() -> None:
     reason = Weighed(Evidence(200, 25)).decide([proposed(9)], [], NODES)
-    assert str(reason).startswith("what was seen fits no place well")
+    assert str(reason).startswith("what was seen tells too little, or fits no place well")
 
 
 def test_of_two_places_that_fit_alike_none_is_believed() -> None:
     reason = Weighed(Evidence(200, 2), Evidence(195, 3)).decide([proposed(9), proposed(1)], [], NODES)
-    assert str(reason).startswith("two places fit alike")
+    assert str(reason).startswith("2 places fit alike")
 
 
 def test_of_two_places_the_one_is_believed_that_fits_better() -> None:
