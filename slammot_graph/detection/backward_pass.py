@@ -6,6 +6,7 @@ static points later is a wall after all, unless it belongs to an object that has
 """
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from slammot_graph.detection.scan_history import ScanHistory, ScanRecord
 from slammot_graph.mapping.occupancy_grid import GridConfig, OccupancyGrid
 from slammot_graph.tracking.base import ScanView, Tracker
 from slammot_graph.tracking.smoothing import SightingHistory
+
+VIEWS_BYTES, BYTES_OF_BEAM = 32 << 20, 70
+"""Memory of the views of scans that are kept, and of a beam of one."""
 
 
 def retrospective_labels(
@@ -110,6 +114,8 @@ def final_views(
 ) -> Callable[[int], ScanView]:
     """Give the view of a scan by its number, at its final pose and with what its final labels call moving.
 
+    The latest `VIEWS_BYTES` of them are kept: who tracks and who then asks about the tracks see the same scans.
+
     Parameters
     ----------
     history, T_map_base
@@ -137,7 +143,8 @@ def final_views(
         )
         return view.by_one_of_several() if has_several else view
 
-    return view_of
+    n_beams = max((len(one) for one in labels), default=0)
+    return lru_cache(max(VIEWS_BYTES // (BYTES_OF_BEAM * n_beams + 1000), 64))(view_of)
 
 
 _NO_CENTRES: FloatArray = np.empty((0, 2))

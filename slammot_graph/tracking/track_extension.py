@@ -6,7 +6,6 @@ scans, before anything was seen free, or where it parked.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 
@@ -44,8 +43,6 @@ _MOST_SCANS = 1000
 _SAME_M = 0.05
 """Places nearer than this to one that was asked about are not asked about again."""
 
-_VIEWS_KEPT = 512
-
 
 class TrackExtension:
     """Asks the scans of a run about places [m], map frame.
@@ -60,7 +57,7 @@ class TrackExtension:
     """
 
     def __init__(self, views: Views, stamps: FloatArray, limits: FloatArray) -> None:
-        self._view = lru_cache(_VIEWS_KEPT)(views)
+        self._view = views
         self._stamps = stamps
         self._limits = limits
 
