@@ -98,7 +98,8 @@ class PoseGraph:
         Raises
         ------
         SlammotError
-            The measurement or its information is not finite, symmetric and positive semi-definite.
+            The measurement or its information is not finite, symmetric and positive semi-definite; both nodes are
+            merged into one.
         """
         if from_node in self._merged:
             from_node, T_onto_from = self._merged.place_of(from_node)
@@ -107,6 +108,8 @@ class PoseGraph:
             to_node, T_onto_to = self._merged.place_of(to_node)
             A = se2.adjoint(se2.inverse(T_onto_to))
             T_from_to, information = se2.compose(T_from_to, se2.inverse(T_onto_to)), A.T @ information @ A
+        if from_node == to_node:
+            raise SlammotError(f"{kind} edge {from_node}-{to_node} joins what lies firmly on one node")
         edge = GraphEdge(
             kind=kind, from_node=from_node, to_node=to_node, T_from_to=T_from_to, information=information
         )
@@ -207,7 +210,7 @@ class PoseGraph:
         gone = {id(edge) for edge in edges}
         self.edges = [edge for edge in self.edges if id(edge) not in gone]
 
-    def merge(self, nodes: Sequence[int], onto: int, cut: int) -> None:
+    def merge(self, nodes: Sequence[int], onto: int, cut: int) -> bool:
         """Merge nodes into another one: they lie to it from now on as they do now, and all of their edges go.
 
         What the edges told the rest of the graph is lost to it: its covariances grow.
@@ -220,12 +223,19 @@ class PoseGraph:
             Not merged itself.
         cut : int
             Edges from nodes before this one to it or a later one go as well, but for closures.
+
+        Returns
+        -------
+        Whether it was done: nothing is where the covariances to `onto` cannot be told.
         """
         poses = self.poses() if nodes else np.empty((0, 3))
-        relative = [
-            (node, se2.between(poses[onto], poses[node]), self.relative_covariance(onto, node))
-            for node in nodes
-        ]
+        try:
+            relative = [
+                (node, se2.between(poses[onto], poses[node]), self.relative_covariance(onto, node))
+                for node in nodes
+            ]
+        except SlammotError:
+            return False
         gone = set(nodes)
         self.remove_edges(
             [
@@ -238,6 +248,7 @@ class PoseGraph:
         )
         for node, T_onto_node, cov in relative:
             self._merged.add(node, onto, T_onto_node, cov, is_closure=node == nodes[0])
+        return True
 
     @property
     def n_merged(self) -> int:

@@ -71,7 +71,9 @@ class KnownPlaces:
             merged = range(0)
             if self._cut is not None and not any(self._cut[0] <= target < at for target in targets):
                 merged = range(self._cut[0], at)
-            self._graph.merge(merged, known[0].target.anchor if self._cut is None else self._cut[1], at)
+            onto = known[0].target.anchor if self._cut is None else self._cut[1]
+            if not self._graph.merge(merged, onto, at):
+                continue
             accepted[:] = [
                 pair
                 for pair in accepted

@@ -44,6 +44,7 @@ def test_merged_nodes_follow(graph: PoseGraph, rng: np.random.Generator) -> None
     moved = se2.compose(se2.between(before[10], before[22]), np.array([0.3, -0.2, 0.05]))
     graph.add_edge("closure", 10, 22, moved, 1e6 * np.eye(3))
     graph.add_edge("closure", 22, 11, se2.between(before[22], before[11]), 1e-3 * np.eye(3))
+    assert graph.try_edge("closure", 2, 22, moved, np.eye(3)) is None
     after = graph.poses()
     np.testing.assert_allclose(se2.between(after[10], after[22]), moved, atol=0.02)
     np.testing.assert_allclose(
