@@ -134,7 +134,10 @@ def suffer(log: str, fault: str, kb: int) -> Scores:
             "has_traceback": "Traceback" in done.stderr,
             "n_poses": n_poses,
             "keeps_what_was_there": before.items() <= _kept(output).items(),
-            "line": (lines[-1] if lines else "").replace(folder, "").replace("|", "/")[:160],
+            "line": (lines[-1] if lines else "")
+            .replace(folder, "")
+            .replace(str(Path(log).parent), "")
+            .replace("|", "/")[:160],
         }
 
 
