@@ -18,7 +18,8 @@ from slammot_graph.loop_closure.closure import Closure
 from slammot_graph.loop_closure.submap import Submap
 
 MIN_VISITS = 6
-"""So often the robot has come back to a place before anything is merged there (intel: at most 5 times, aces: 2)."""
+"""So often the robot has come back to a place before anything is merged there (by its path intel at most 5
+times, aces 2)."""
 
 AWAY_M = 20.0
 """It has come back if it has driven this far since the place was last seen: that it stays there is no news."""
