@@ -1,9 +1,9 @@
 """Disks and folders that fail a run: ``python -m experiments.bad_disks``.
 
-A run over a simulated log writes into a small file system of each of 20 sizes (mounted where the system lets this user,
-else a limit on the size of files), into a folder that may not be written, of another user, or that is removed on the
-way, and with a temporary folder that is full or gone. Told is how it ends (exit code, last line), whether there was a
-traceback, what of the results is there and can be read, and whether what was there before still is.
+A run over a recorded log writes into a small file system of each of 20 sizes, into the folder of an earlier run that
+may not be written or is of another user, into one that is removed on the way, and with a temporary folder that is full
+or gone. Told is how it ends (exit code, last line), whether there was a traceback, what of the results is there and can
+be read, and whether what was there before still is. File systems are mounted and users changed by root alone.
 """
 
 import os
@@ -47,10 +47,28 @@ SIZES_KB = (
 N_SCANS = 800
 KEPT = "kept.txt"
 OTHER_USER = 65534
+PROGRAM = (sys.executable, "-m", "slammot_graph")
+EARLIER_RUN = ("--max-scans", "20", "--rerun", "off")
+
+AS_OTHER_USER = f"""
+import os, sys
+from slammot_graph.cli import main
+log, earlier, *words = sys.argv[1:]
+main(["run", log, "--output", earlier, *{EARLIER_RUN}])
+os.setgroups([])
+os.setegid({OTHER_USER})
+os.seteuid({OTHER_USER})
+sys.exit(main(words))
+"""
+"""Gives up its rights only once all is imported: the interpreter may lie where the other user may not read."""
 
 
 def experiment(options: Options) -> None:
     """Run into disks that are full and folders that may not be written."""
+    if os.geteuid() != 0:
+        raise InputError(
+            "only root may mount file systems and change users: run this as root, in a container"
+        )
     log = str(options.recorded("intel.clf.bz2"))
     sizes = SIZES_KB[::7] if options.quick else SIZES_KB
     cells = {f"full {kb}": {"log": log, "fault": "full", "kb": kb} for kb in sizes}
@@ -89,19 +107,18 @@ def experiment(options: Options) -> None:
 
 def suffer(log: str, fault: str, kb: int) -> Scores:
     """Run into one of them."""
-    with tempfile.TemporaryDirectory() as folder, _made(fault, Path(folder), kb) as place:
-        output, environment, user, disturb = place
+    with tempfile.TemporaryDirectory() as folder, _made(fault, Path(folder), kb, log) as place:
+        output, environment, disturb = place
         disturber = None if disturb is None else threading.Thread(target=disturb)
         if disturber is not None:
             disturber.start()
         before = _kept(output)
         done = subprocess.run(
-            _command(log, output),
+            _command(log, output, fault),
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
             capture_output=True,
             text=True,
-            user=user,
             check=False,
         )
         if disturber is not None:
@@ -116,48 +133,53 @@ def suffer(log: str, fault: str, kb: int) -> Scores:
             "code": done.returncode,
             "has_traceback": "Traceback" in done.stderr,
             "n_poses": n_poses,
-            "keeps_what_was_there": _kept(output) == before or fault == "folder removed on the way",
-            "line": (lines[-1] if lines else "").replace(folder, "").replace("|", "/")[:160],
+            "keeps_what_was_there": before.items() <= _kept(output).items(),
+            "line": (lines[-1] if lines else "")
+            .replace(folder, "")
+            .replace(str(Path(log).parent), "")
+            .replace("|", "/")[:160],
         }
 
 
-Place = tuple[Path, dict[str, str], int | None, Callable[[], None] | None]
+Place = tuple[Path, dict[str, str], Callable[[], None] | None]
 
 
 @contextmanager
-def _made(fault: str, folder: Path, kb: int) -> Iterator[Place]:
-    """Make what a fault needs: the output, variables of the environment, the user, and who disturbs the run."""
+def _made(fault: str, folder: Path, kb: int, log: str) -> Iterator[Place]:
+    """Make what a fault needs: the output, variables of the environment, and who disturbs the run."""
     output = folder / "out"
     if fault == "full":
         with _small_disk(folder / "disk", kb) as disk:
             (disk / KEPT).write_text("kept")
-            yield disk / "out", {}, None, None
+            yield disk / "out", {}, None
     elif fault == "temporary folder full":
         with _small_disk(folder / "tmp", 4) as disk:
             (disk / "all").write_bytes(bytes(4096))
-            yield output, {"TMPDIR": str(disk)}, None, None
+            yield output, {"TMPDIR": str(disk)}, None
     elif fault == "temporary folder gone":
-        yield output, {"TMPDIR": str(folder / "none")}, None, None
+        yield output, {"TMPDIR": str(folder / "none")}, None
     elif fault == "folder removed on the way":
-        yield output, {}, None, lambda: _remove_when_there(output)
+        yield output, {}, lambda: _remove_when_there(output)
     else:
-        mode = 0o555 if fault == "folder that may not be written" else 0o755
-        output.mkdir()
-        (output / KEPT).write_text("kept")
-        if fault == "folder of another user":
-            (output / KEPT).unlink()
-        output.chmod(mode)
         folder.chmod(0o755)
-        yield output, {"NUMBA_CACHE_DIR": str(folder)}, OTHER_USER if os.getuid() == 0 else None, None
-        output.chmod(0o755)
+        subprocess.run(
+            [*PROGRAM, "run", log, "--output", str(output), *EARLIER_RUN],
+            cwd=ROOT,
+            capture_output=True,
+            check=True,
+        )
+        if fault == "folder that may not be written":
+            os.chown(output, OTHER_USER, OTHER_USER)
+            output.chmod(0o555)
+        yield output, {}, None
 
 
+OF_OTHER_USERS = ("folder that may not be written", "folder of another user")
 FAULTS = (
     "temporary folder full",
     "temporary folder gone",
     "folder removed on the way",
-    "folder that may not be written",
-    "folder of another user",
+    *OF_OTHER_USERS,
 )
 
 
@@ -178,13 +200,18 @@ def _remove_when_there(output: Path) -> None:
     shutil.rmtree(output, ignore_errors=True)
 
 
-def _command(log: str, output: Path) -> list[str]:
+def _command(log: str, output: Path, fault: str) -> list[str]:
     words = ["run", log, "--output", str(output), "--max-scans", str(N_SCANS), "--checkpoint-every", "1"]
-    return [sys.executable, "-m", "slammot_graph", *words]
+    if fault in OF_OTHER_USERS:
+        earlier = str(output.with_name("earlier"))
+        return [sys.executable, "-c", AS_OTHER_USER, log, earlier, *words, "--overwrite"]
+    return [*PROGRAM, *words]
 
 
-def _kept(output: Path) -> list[str]:
-    return [path.read_text() for path in (output / KEPT, output.parent / KEPT) if path.exists()]
+def _kept(output: Path) -> dict[str, bytes]:
+    """What lies in the output and beside it before the run."""
+    paths = [*output.glob("*"), output.parent / KEPT]
+    return {path.name: path.read_bytes() for path in sorted(paths) if path.is_file()}
 
 
 if __name__ == "__main__":

@@ -79,19 +79,24 @@ ROWS = (
         test="tests/test_session.py tests/test_checkpoints.py tests/cli/test_keeping.py",
     ),
     Row(
+        fault="kill -9 while a message of the recording is written",
+        outcome="the run that goes on cuts it off: all parts can be read",
+        test="tests/run_folder/test_recording.py",
+    ),
+    Row(
         fault="a checkpoint that is damaged, or of another log, method, version",
         outcome="one line, exit 2, all stays",
         test="tests/run_folder/test_checkpoint.py tests/core/test_frozen_state.py",
     ),
     Row(
         fault="a clock that begins again within a bag",
-        outcome="two runs by recording times, told",
+        outcome="two runs by recording times, or in the order of the file where these begin again too; told",
         test="tests/logs/test_bag_restarts.py",
     ),
     Row(
         fault="days in one building",
-        outcome="laps in places known well are tied to these alone",
-        test="tests/loop_closure/test_known_places.py",
+        outcome="local maps of places known well merge into these; what is kept of scans goes to the disk",
+        test="tests/loop_closure/test_known_places.py tests/graph/test_merged_nodes.py",
     ),
     Row(
         fault="measurements or covariances out of sense; the solver throws",

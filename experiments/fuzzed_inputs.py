@@ -11,51 +11,23 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from experiments.common import Options, Scores, main, run_cells
+from experiments.damaged_files import CHANGES, FILES, changed, sound_files
 from experiments.tables import Table, write_tables
-from slammot_graph.core.config import load_config, to_toml
+from slammot_graph.core.config import load_config
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.frozen_state import thaw
 from slammot_graph.core.saved_map import SavedMap
-from slammot_graph.logs import open_log, write_npz_log
+from slammot_graph.logs import open_log
 from slammot_graph.methods import get_method
-from slammot_graph.run import Run
 from slammot_graph.run_folder.checkpoint import CHECKPOINT_FILE, SCANS_FILE, CheckpointFile
 from slammot_graph.run_folder.reader import read_run_folder
-from slammot_graph.run_folder.writer import write_run_folder
-from slammot_graph.simulation import simulate
 
 N_OF_CELL = 5_000
-WORDS = (
-    b"nan",
-    b"-inf",
-    b"1e308",
-    b"-1",
-    b"0",
-    b"9" * 400,
-    b"\xff\xfe",
-    b"\n\n\n",
-    b"[" * 2000,
-    b"",
-    bytes(8),
-)
-CARMEN = b"\n".join(
-    b"FLASER 5 1.0 2.0 3.0 2.5 1.5 %d.0 0.0 0.0 %d.0 0.0 0.0 %d.0 host %d.0" % (k, k, k, k) for k in range(3)
-)
-FILES = (
-    "trajectory.tum",
-    "summary.json",
-    "tracks.csv",
-    "covariances.npz",
-    "points.npz",
-    "map.pgm",
-    "map.yaml",
-)
 N_CELLS = {
     **dict.fromkeys(("log .npz", "log .log"), 20),
     **dict.fromkeys(("log .bag", "log .db3", "log .mcap"), 4),
@@ -110,7 +82,7 @@ def fuzz(kind: str, seed: int, n: int) -> Scores:
     """Read n damaged files of a kind."""
     warnings.simplefilter("ignore")
     what, _, name = kind.partition(" ")
-    sound = _sound()
+    sound = sound_files()
     rng = np.random.default_rng([seed, *kind.encode()])
     uncaught: dict[str, str] = {}
     n_read = n_told = n_uncaught = 0
@@ -141,21 +113,10 @@ def fuzz(kind: str, seed: int, n: int) -> Scores:
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """Change some bytes, one to four times."""
+    """Change some bytes, one to four times; one in sixteen changes cuts off what follows."""
     for _ in range(int(rng.integers(1, 5))):
-        k, value = int(rng.integers(max(len(data), 1))), int(rng.integers(256))
-        match int(rng.integers(5)):
-            case 0:
-                data = data[:k] + bytes([value]) + data[k + 1 :]
-            case 1 if rng.random() < 0.3:
-                data = data[:k]
-            case 2:
-                data = data[:k] + data[k : k + value] + data[k:]
-            case 3:
-                data = data[:k] + bytes(rng.integers(256, size=8, dtype=np.uint8)) + data[k + 8 :]
-            case _:
-                end = next((j for j in range(k, min(k + 400, len(data))) if data[j : j + 1] in b" ,\n=]"), k)
-                data = data[:k] + WORDS[value % len(WORDS)] + data[end:]
+        change = rng.choice(CHANGES, p=[0.235, 0.06, 0.235, 0.235, 0.235])
+        data = changed(data, change, float(rng.random()), int(rng.integers(256)))
     return data
 
 
@@ -191,48 +152,6 @@ def _thawed(folder: Path) -> object:
     if frozen is None or frozen.state is None:
         return None
     return thaw(frozen.state, frozen.spools, None)
-
-
-@cache
-def _sound() -> Mapping[str, bytes]:
-    """The sound files of all kinds, by reader and name."""
-    from tests.logs import bag_files
-
-    found = {"log .log": CARMEN, "settings": to_toml(get_method("graph").config).encode()}
-    messages = [
-        m
-        for k in range(3)
-        for m in (bag_files.scan(100.0 + k), bag_files.odometry(100.0 + k, (0.1 * k, 0.0, 0.0)))
-    ]
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        found["log .bag"] = bag_files.write_bag(folder, messages, "bag").read_bytes()
-        for kind, suffix in (("sqlite3", ".db3"), ("mcap", ".mcap")):
-            (folder / kind).mkdir()
-            bag_files.write_bag(folder / kind, messages, kind)
-            found[f"log {suffix}"] = next((folder / kind).rglob(f"*{suffix}")).read_bytes()
-        write_npz_log(
-            folder / "log.npz",
-            stamps=np.arange(3.0),
-            ranges=np.full((3, 20), 2.0),
-            angle_min=-1.0,
-            angle_increment=0.1,
-            range_min=0.1,
-            range_max=9.0,
-            odometry=np.zeros((3, 3)),
-        )
-        found["log .npz"] = (folder / "log.npz").read_bytes()
-        run = Run(simulate("two-walkers", seed=0), max_scans=12)
-        for number, _ in enumerate(run, start=1):
-            if number == 8:
-                CheckpointFile(folder).write(run.freeze())
-        for name in (CHECKPOINT_FILE, SCANS_FILE):
-            found[f"checkpoint {name}"] = (folder / name).read_bytes()
-        write_run_folder(folder / "run", run.result())
-        for name in FILES:
-            found[f"folder {name}"] = (folder / "run" / name).read_bytes()
-        found["map map.slam"] = (folder / "run" / "map.slam").read_bytes()
-    return found
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """What a run keeps of its steps: on the disk once they are many."""
 
+import struct
 from array import array
 from collections.abc import Iterator, Mapping
 from typing import Any, get_args
@@ -35,30 +36,27 @@ _ROW = np.dtype(
         ("n_moving", "i4"),
     ]
 )
+_TRACK = np.dtype([("values", "f8", 10), ("is_seen", "?")])
+_PACKED_TRACK = struct.Struct("=10d?")
 _NOWHERE = np.full(3, np.nan)
 
 
 class KeptScans:
-    """What of all steps goes into the result: about 350 bytes a scan and 3 bytes a beam.
+    """What of all steps goes into the result: about 350 bytes a scan, 3 bytes a beam and 81 a track.
 
     Attributes
     ----------
-    tracks : array of floats
-        Rows of `TRACK_COLUMNS`, one after the other.
-    is_track_seen : array of ints
-        0 or 1 for each row.
     n_failed : int
         Matches.
     events : list of Event
     """
 
     def __init__(self) -> None:
-        self.tracks = array("d")
-        self.is_track_seen = array("b")
         self.n_failed = 0
         self.events: list[Event] = []
         self._rows = Spool(MOST_IN_MEMORY)
         self._beams = Spool(MOST_IN_MEMORY)
+        self._tracks = Spool(MOST_IN_MEMORY)
         self._stage_ms: dict[str, array[float]] = {}
         self._n = 0
 
@@ -68,7 +66,7 @@ class KeptScans:
     @property
     def spools(self) -> tuple[Spool, ...]:
         """What grows with the scans."""
-        return self._rows, self._beams
+        return self._rows, self._beams, self._tracks
 
     def close(self) -> None:
         """Give the temporary files back."""
@@ -113,8 +111,12 @@ class KeptScans:
         for track in step.tracks:
             (xx, xy), (_, yy) = track.position_cov
             row_of_track = (scan.stamp, track.track_id, *track.position, *track.velocity, xx, xy, yy)
-            self.tracks.extend([*map(float, row_of_track), float(scan.index)])
-            self.is_track_seen.append(len(track.beams) > 0)
+            self._tracks.add(_PACKED_TRACK.pack(*row_of_track, scan.index, len(track.beams) > 0))
+
+    def tracks(self) -> tuple[FloatArray, BoolArray]:
+        """Rows (k, 10) of `TRACK_COLUMNS` of the tracks as known at the time, and which (k,) were seen."""
+        rows = np.frombuffer(self._tracks.since(0), dtype=_TRACK)
+        return rows["values"].copy(), rows["is_seen"].copy()
 
     def stage_ms(self) -> dict[str, FloatArray]:
         """(n,) times of each stage [ms]; 0 where a scan did not come to it."""

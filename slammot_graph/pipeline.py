@@ -97,7 +97,7 @@ class Pipeline:
     @property
     def spools(self) -> tuple[Spool, ...]:
         """What grows with the scans."""
-        return self._history.spools
+        return *self._history.spools, *self.localizer.spools
 
     def step(self, scan: Scan) -> StepResult:
         """Take in the next scan."""

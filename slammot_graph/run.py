@@ -261,9 +261,7 @@ class Run:
         is_valid, online, p_moving = kept.beams()
         is_moving = online if outcome.labels is None else _padded(outcome.labels)
         log, report = describe(self.log), session.pipeline.odometry_report()
-        tracks_online = np.array(kept.tracks, dtype=np.float64).reshape(-1, 10)
-        is_track_seen = is_seen_online = np.array(kept.is_track_seen, dtype=np.bool_)
-        tracks = tracks_online
+        tracks, is_track_seen = tracks_online, is_seen_online = kept.tracks()
         if outcome.tracks is not None:
             tracks, is_track_seen = _track_rows(outcome.tracks, rows), outcome.tracks.is_seen
         return RunResult(

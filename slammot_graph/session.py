@@ -102,7 +102,8 @@ class Session:
     def freeze(self, bound_to: Mapping[str, str]) -> FrozenRun:
         """Give the state after the latest step."""
         pipeline = self.pipeline
-        spools = (*self.kept.spools, *(pipeline.spools if isinstance(pipeline, Pipeline) else ()))
+        spools = (*self.kept.spools, *self.statistics.spools)
+        spools += pipeline.spools if isinstance(pipeline, Pipeline) else ()
         state = None
         if isinstance(pipeline, Pipeline):
             parts = {"pipeline": pipeline, "statistics": self.statistics, "kept": self.kept}

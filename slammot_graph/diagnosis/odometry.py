@@ -1,12 +1,13 @@
 """A look at the raw odometry: whether it moves, stands still while the robot drives, leaps, or tells the impossible."""
 
 import math
-from array import array
+import struct
 
 import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.findings import Finding
+from slammot_graph.core.spool import Spool
 from slammot_graph.core.types import BoolArray, FloatArray
 
 STILL_M, STILL_RAD = 1e-6, 1e-6
@@ -28,6 +29,8 @@ JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.3, 0.5
 """A jump is faster than this, this many times faster than the log mostly is while it moves, and this long."""
 
 
+_ROW = struct.Struct("=7d")
+_MOST_IN_MEMORY = 1 << 20
 _UNKNOWN = [math.nan] * 3
 
 
@@ -39,12 +42,14 @@ class OdometryStatistics:
     n_scans : int
     n_with_odometry : int
         Scans that have any.
+    spool : Spool
+        Stamp, odometry and estimate of each.
     """
 
     def __init__(self) -> None:
         self.n_scans = 0
         self.n_with_odometry = 0
-        self._rows = array("d")
+        self.spool = Spool(_MOST_IN_MEMORY)
 
     def add(self, stamp: float, T_odom_base: FloatArray | None, T_map_base: FloatArray) -> None:
         """Take in the next scan.
@@ -61,7 +66,7 @@ class OdometryStatistics:
         self.n_scans += 1
         self.n_with_odometry += T_odom_base is not None
         odometry = _UNKNOWN if T_odom_base is None else T_odom_base.tolist()
-        self._rows.extend((stamp, *odometry, *T_map_base.tolist()))
+        self.spool.add(_ROW.pack(stamp, *odometry, *T_map_base.tolist()))
 
     @property
     def distance_m(self) -> float:
@@ -88,7 +93,7 @@ class OdometryStatistics:
     @property
     def _table(self) -> FloatArray:
         """(k, 7) scan number, time step [s], told distance [m] and turn [rad], the estimate's step (x, y, theta)."""
-        poses = np.array(self._rows, dtype=np.float64).reshape(-1, 7)
+        poses = np.frombuffer(self.spool.since(0), dtype=np.float64).reshape(-1, 7)
         before, after = poses[:-1], poses[1:]
         has_both = np.isfinite(before[:, 1]) & np.isfinite(after[:, 1])
         before, after = before[has_both], after[has_both]

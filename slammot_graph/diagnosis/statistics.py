@@ -4,6 +4,7 @@ from collections import Counter
 
 from slammot_graph.core.events import FOUND_AGAIN
 from slammot_graph.core.results import Health, MatchStatus, StepResult
+from slammot_graph.core.spool import Spool
 from slammot_graph.diagnosis.consistency import InnovationConsistency
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
 from slammot_graph.diagnosis.odometry import OdometryStatistics
@@ -48,6 +49,11 @@ class RunStatistics:
         self.n_contradictions = 0
         self.first_contradiction: int | None = None
         self.blind: list[tuple[int, str]] = []
+
+    @property
+    def spools(self) -> tuple[Spool, ...]:
+        """What grows with the scans."""
+        return (self.odometry.spool,)
 
     def add(self, step: StepResult) -> None:
         """Take in the next step."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from copy import copy
+from copy import copy, deepcopy
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,9 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.linalg import is_covariance
 from slammot_graph.core.results import EdgeKind, GraphEdge
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.spool import Spool
+from slammot_graph.core.types import FloatArray, IntArray
+from slammot_graph.graph.merged_nodes import MergedNodes
 from slammot_graph.graph.smoother import PoseGraphConfig, Smoother, root_information
 
 __all__ = ["PoseGraph", "PoseGraphConfig"]
@@ -25,6 +27,7 @@ class PoseGraph:
     Attributes
     ----------
     edges : list of GraphEdge
+        Those that are solved for: of nodes that are not merged.
     dropped : list of (GraphEdge, str)
         Edges that could not be taken in, and why; whoever tells of them empties it.
     """
@@ -40,6 +43,7 @@ class PoseGraph:
         self._factor_of: dict[GraphEdge, int] = {}
         self._poses: FloatArray | None = None
         self._snapshot: PoseGraph | None = None
+        self._merged = MergedNodes()
         self._smoother = Smoother(config)
 
     def __len__(self) -> int:
@@ -48,6 +52,11 @@ class PoseGraph:
     def __getstate__(self) -> dict[str, Any]:
         """Give all but the copy that is asked questions."""
         return {**self.__dict__, "_snapshot": None}
+
+    @property
+    def spools(self) -> tuple[Spool, ...]:
+        """What grows with the nodes."""
+        return (self._smoother.asked.spool,)
 
     def start(self, T_map_base: FloatArray) -> int:
         """Add the first node, held by the prior; returns its number, 0."""
@@ -89,8 +98,18 @@ class PoseGraph:
         Raises
         ------
         SlammotError
-            The measurement or its information is not finite, symmetric and positive semi-definite.
+            The measurement or its information is not finite, symmetric and positive semi-definite; both nodes are
+            merged into one.
         """
+        if from_node in self._merged:
+            from_node, T_onto_from = self._merged.place_of(from_node)
+            T_from_to = se2.compose(T_onto_from, T_from_to)
+        if to_node in self._merged:
+            to_node, T_onto_to = self._merged.place_of(to_node)
+            A = se2.adjoint(se2.inverse(T_onto_to))
+            T_from_to, information = se2.compose(T_from_to, se2.inverse(T_onto_to)), A.T @ information @ A
+        if from_node == to_node:
+            raise SlammotError(f"{kind} edge {from_node}-{to_node} joins what lies firmly on one node")
         edge = GraphEdge(
             kind=kind, from_node=from_node, to_node=to_node, T_from_to=T_from_to, information=information
         )
@@ -191,6 +210,56 @@ class PoseGraph:
         gone = {id(edge) for edge in edges}
         self.edges = [edge for edge in self.edges if id(edge) not in gone]
 
+    def merge(self, nodes: Sequence[int], onto: int, cut: int) -> bool:
+        """Merge nodes into another one: they lie to it from now on as they do now, and all of their edges go.
+
+        What the edges told the rest of the graph is lost to it: its covariances grow.
+
+        Parameters
+        ----------
+        nodes : sequence of int
+            The first of them is tied to `onto` by a closure.
+        onto : int
+            Not merged itself.
+        cut : int
+            Edges from nodes before this one to it or a later one go as well, but for closures.
+
+        Returns
+        -------
+        Whether it was done: nothing is where the covariances to `onto` cannot be told.
+        """
+        poses = self.poses() if nodes else np.empty((0, 3))
+        try:
+            relative = [
+                (node, se2.between(poses[onto], poses[node]), self.relative_covariance(onto, node))
+                for node in nodes
+            ]
+        except SlammotError:
+            return False
+        gone = set(nodes)
+        self.remove_edges(
+            [
+                edge
+                for edge in self.edges
+                if edge.from_node in gone
+                or edge.to_node in gone
+                or (edge.kind != "closure" and edge.from_node < cut <= edge.to_node)
+            ]
+        )
+        for node, T_onto_node, cov in relative:
+            self._merged.add(node, onto, T_onto_node, cov, is_closure=node == nodes[0])
+        return True
+
+    @property
+    def n_merged(self) -> int:
+        """Nodes that are solved for no more."""
+        return len(self._merged)
+
+    @property
+    def all_edges(self) -> tuple[GraphEdge, ...]:
+        """All edges, with one for each merged node."""
+        return (*self.edges, *self._merged.edges())
+
     def load(self, poses: FloatArray, edges: Sequence[GraphEdge]) -> None:
         """Begin with the nodes (n, 3) and edges of a saved graph."""
         self.edges, self._n_nodes = list(edges), len(poses)
@@ -213,10 +282,13 @@ class PoseGraph:
         self._snapshot = self._poses = None
         self._factor_of, self._waiting = {}, list(self.edges)
         self._prior = poses[0].copy()
-        self._waiting_nodes = [(node, pose.copy()) for node, pose in enumerate(poses)]
+        self._waiting_nodes = [(node, poses[node].copy()) for node in self._live().tolist()]
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node, map frame."""
+        if node in self._merged:
+            onto, T_onto_node = self._merged.place_of(node)
+            return se2.compose(self.pose(onto), T_onto_node)
         self.update()
         with self._named():
             return self._smoother.pose(node)
@@ -225,8 +297,10 @@ class PoseGraph:
         """(n, 3) optimised poses of all nodes, map frame."""
         self.update()
         if self._poses is None:
+            self._poses = np.empty((self._n_nodes, 3))
             with self._named():
-                self._poses = self._smoother.poses()
+                self._poses[self._live()] = self._smoother.poses()
+            self._merged.place(self._poses)
         return self._poses.copy()
 
     def snapshot(self) -> "PoseGraph":
@@ -247,6 +321,7 @@ class PoseGraph:
             other.edges, other._waiting, other.dropped = list(self.edges), list(self._waiting), []
             other._waiting_nodes = list(self._waiting_nodes)
             other._factor_of = dict(self._factor_of)
+            other._merged = deepcopy(self._merged)
             other.update()
             self._snapshot = other
         return self._snapshot
@@ -261,8 +336,11 @@ class PoseGraph:
     def marginals(self) -> FloatArray:
         """(n, 3, 3) absolute covariances of all nodes, right perturbation (body frame)."""
         self.update()
+        covs, live = np.empty((self._n_nodes, 3, 3)), self._live()
         with self._named():
-            return self._smoother.marginals(self._n_nodes)
+            covs[live] = self._smoother.marginals(live.tolist())
+        self._merged.spread(covs)
+        return covs
 
     def relative_covariance(self, anchor: int, node: int) -> FloatArray:
         """(3, 3) covariance of a node relative to an anchor, right perturbation (body frame of `node`)."""
@@ -272,6 +350,10 @@ class PoseGraph:
         with self._named():
             cov = self._smoother.relative_covariance(anchor, node)
         return _checked(cov, f"node {node} relative to node {anchor}")
+
+    def _live(self) -> IntArray:
+        """Nodes that are not merged, in their order."""
+        return np.delete(np.arange(self._n_nodes), self._merged.nodes)
 
     def _add_factor(self, edge: GraphEdge) -> None:
         root_information(edge)  # refuses it before it waits

@@ -18,6 +18,7 @@ from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.linalg import eigh3
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.types import FloatArray
+from slammot_graph.graph.asked import Asked
 
 T = TypeVar("T")
 
@@ -46,36 +47,41 @@ class Smoother:
 
     Nothing of gtsam's inside can be written to a file. One that is asked for the same in the same order is the same,
     bit by bit: a smoother that is copied by `pickle` does it all again.
+
+    Attributes
+    ----------
+    config : PoseGraphConfig
+    asked : Asked
     """
 
     def __init__(self, config: PoseGraphConfig) -> None:
         self.config = config
         self._isam = _isam2(config)
-        self._asked: list[tuple[Any, ...]] = []
+        self.asked = Asked()
         self._has_changed = False
         self._thread = _large_stack_thread()
 
     def __getstate__(self) -> dict[str, Any]:
         """Give what it was asked."""
-        return {"config": self.config, "asked": self._asked}
+        return {"config": self.config, "asked": self.asked}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Do all of it again."""
         self.__init__(state["config"])  # type: ignore[misc]
-        for name, *arguments in state["asked"]:
-            getattr(self, name)(*arguments)
+        state["asked"].repeat(self)
+        self.asked = state["asked"]
 
     def begin_anew(self) -> None:
         """Forget all."""
         self._isam = _isam2(self.config)
-        self._asked = []
+        self.asked.begin_anew()
 
     def copy(self) -> "Smoother":
         """Give another one that is asked questions only; it shares the thread."""
         other = Smoother.__new__(Smoother)
         other.__dict__.update(self.__dict__)
         other._isam = self._in_thread(lambda: gtsam.ISAM2(self._isam))
-        other._asked = []
+        other.asked = Asked()
         return other
 
     def add(
@@ -102,7 +108,8 @@ class Smoother:
         for edge in edges:
             root = gtsam.noiseModel.Gaussian.SqrtInformation(root_information(edge))
             factors.add(gtsam.BetweenFactorPose2(edge.from_node, edge.to_node, _pose(edge.T_from_to), root))
-        self._note("add", prior, tuple(nodes), tuple(edges))
+        self.asked.add(prior, nodes, edges)
+        self._has_changed = True
         result = self._in_thread(lambda: self._isam.update(factors, values))
         numbers = [int(number) for number in result.getNewFactorsIndices()]
         return numbers[len(numbers) - len(edges) :]
@@ -111,24 +118,26 @@ class Smoother:
         """Take edges out again, by the numbers that `add` gave."""
         parameters = gtsam.ISAM2UpdateParams()
         parameters.removeFactorIndices = list(numbers)
-        self._note("remove", tuple(numbers))
+        self.asked.remove(numbers)
+        self._has_changed = True
         self._in_thread(lambda: self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), parameters))
 
     def iterate(self) -> None:
         """Do one more step of Gauss and Newton, where nodes have moved far enough."""
-        self._note("iterate")
+        self.asked.iterate()
+        self._has_changed = True
         self._in_thread(self._isam.update)
 
     def pose(self, node: int) -> FloatArray:
         """(3,) optimised pose of a node."""
         if self._has_changed:
-            self._asked.append(("pose", node))
+            self.asked.pose(node)
             self._has_changed = False
         return self._in_thread(lambda: _plain(self._isam.calculateEstimatePose2(node)))
 
     def poses(self) -> FloatArray:
-        """(n, 3) optimised poses of all nodes, solved in full."""
-        self._asked.append(("poses",))
+        """(n, 3) optimised poses of all nodes that have an edge, in their order, solved in full."""
+        self.asked.poses()
         values = self._in_thread(self._isam.calculateBestEstimate)
         return np.asarray(gtsam.utilities.extractPose2(values), dtype=np.float64).reshape(-1, 3)
 
@@ -148,11 +157,11 @@ class Smoother:
         """(3, 3) absolute covariance of a node, right perturbation (body frame)."""
         return np.asarray(self._in_thread(lambda: self._isam.marginalCovariance(node)), dtype=np.float64)
 
-    def marginals(self, n_nodes: int) -> FloatArray:
-        """(n_nodes, 3, 3) absolute covariances of the first nodes."""
+    def marginals(self, nodes: Sequence[int]) -> FloatArray:
+        """(n, 3, 3) absolute covariances of nodes."""
 
         def all_marginals() -> FloatArray:
-            return np.array([self._isam.marginalCovariance(k) for k in range(n_nodes)])
+            return np.array([self._isam.marginalCovariance(k) for k in nodes])
 
         return self._in_thread(all_marginals)
 
@@ -162,7 +171,7 @@ class Smoother:
         From the joint marginal J of both: ``H J H'`` with ``H = [-Ad(T_node_anchor) | I]``.
         """
         if self._has_changed:
-            self._asked.append(("pose", anchor))
+            self.asked.pose(anchor)
             self._has_changed = False
 
         def query() -> tuple[FloatArray, gtsam.Pose2]:
@@ -180,10 +189,6 @@ class Smoother:
     def close(self) -> None:
         """End the thread."""
         self._thread.shutdown(wait=True)
-
-    def _note(self, *asked: Any) -> None:
-        self._asked.append(asked)
-        self._has_changed = True
 
     def _in_thread(self, call: Callable[[], T]) -> T:
         try:

@@ -12,6 +12,7 @@ from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, Health, MatchResult
 from slammot_graph.core.saved_map import SavedMap
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.spool import Spool
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 
 
@@ -109,6 +110,10 @@ class Localizer(Protocol):
     @property
     def T_map_local(self) -> FloatArray:
         """(3,) where the local frame lies in the map now."""
+
+    @property
+    def spools(self) -> tuple[Spool, ...]:
+        """What grows with the scans."""
 
     def predict(self, scan: Scan) -> Estimate:
         """Carry the last estimate along the motion to the new scan."""

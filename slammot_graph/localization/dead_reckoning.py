@@ -8,6 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import GraphEdge, MatchResult
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.spool import Spool
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import FIRST_COV, CommitResult, Estimate, FinalEstimate
 from slammot_graph.odometry.propagation import MotionModel
@@ -17,6 +18,7 @@ class DeadReckoning:
     """Odometry alone; the local frame is the map, and starts at the first scan."""
 
     T_map_local = se2.IDENTITY
+    spools: tuple[Spool, ...] = ()
 
     def __init__(self, model: MotionModel) -> None:
         self.model = model

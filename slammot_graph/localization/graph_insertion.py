@@ -271,7 +271,7 @@ class GraphInsertion:
             submaps,
             nodes=nodes,
             node_scans=np.array([*old_scans, *self.node_scans[self._n_saved :]], dtype=np.int64),
-            edges=tuple(self.graph.edges),
+            edges=self.graph.all_edges,
             joined=tuple({0} if self.closer is None else self.closer.relocalization.joined),
             runs=(*old_runs, run),
             edits=edits,

@@ -10,6 +10,7 @@ from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
+from slammot_graph.core.spool import Spool
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.localization.base import FIRST_COV, CommitResult, Estimate, FinalEstimate
@@ -72,6 +73,11 @@ class ScanToMap:
     def T_map_local(self) -> FloatArray:
         """See `Localizer`."""
         return self.insertion.keyframes.T_map_local
+
+    @property
+    def spools(self) -> tuple[Spool, ...]:
+        """See `Localizer`."""
+        return self._scan_poses.spool, *self.graph.spools
 
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
@@ -188,7 +194,7 @@ class ScanToMap:
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
         """See `Localizer`."""
-        return self.graph.snapshot().poses(), tuple(self.graph.edges)
+        return self.graph.snapshot().poses(), self.graph.all_edges
 
     def final(self) -> FinalEstimate:
         """See `Localizer`."""
@@ -208,7 +214,7 @@ class ScanToMap:
             cov_map=cov_map,
             node_scans=np.array(self.insertion.node_scans),
             nodes=nodes,
-            edges=tuple(self.graph.edges),
+            edges=self.graph.all_edges,
             saved_map=self.insertion.saved_map(nodes, self.propagation.path_m, self.odometry_report()),
             n_spare=self.insertion.n_spare,
             earlier=self.insertion.earlier_map(nodes),

@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.logs.bag_index import read_long_indices
+from slammot_graph.logs.bag_runs import BagRun, runs_of
 from slammot_graph.logs.bag_topics import Topic
 from slammot_graph.logs.base import one_line
 
@@ -52,12 +53,17 @@ class Bag:
         for connection in reader.connections:
             key = (connection.topic, connection.msgtype)
             counts[key] = counts.get(key, 0) + connection.msgcount
+        self._runs = [
+            (part, run) for part in reader.readers if isinstance(part, Reader1) for run in runs_of(part)
+        ]
         self.topics = [Topic(name=name, msgtype=kind, n_messages=n) for (name, kind), n in counts.items()]
 
     def messages(
         self, topics: Sequence[Topic], *, first_seconds: float | None = None
     ) -> Generator[BagMessage, None, None]:
         """Messages of some topics in the order of recording, all or those of the bag's first seconds.
+
+        Where recording times begin again, those of the later runs are moved behind the earlier ones'.
 
         Raises
         ------
@@ -69,25 +75,33 @@ class Bag:
         if not connections:
             return  # rosbags would take an empty choice for all topics
         number = 0
-        with closing(self._reader.messages(connections, stop=self._stop(first_seconds))) as stream:
-            while True:
-                try:
-                    record = next(stream, None)
-                    bag_stamp = 0.0 if record is None else float(record[1]) * 1e-9
-                except Exception as err:  # the decoders of a damaged file may raise anything
-                    raise _unreadable(self.path, err) from None
-                if record is None:
-                    return
-                connection, _, raw = record
-                number += 1
-                yield BagMessage(number, bag_stamp, self._decode(raw, connection.msgtype), connection.topic)
+        runs: list[tuple[Reader1 | None, BagRun | None]] = [*self._runs] or [(None, None)]
+        for part, run in runs if first_seconds is None else runs[:1]:
+            if part is not None and run is not None:
+                part.indexes = run.indexes  # read when the first message is asked for
+            stop = self._stop(first_seconds, run)
+            with closing(self._reader.messages(connections, stop=stop)) as stream:
+                while (record := self._next(stream)) is not None:
+                    connection, time_ns, raw = record
+                    number += 1
+                    bag_stamp = float(time_ns) * 1e-9 + (0.0 if run is None else run.shift_s)
+                    yield BagMessage(
+                        number, bag_stamp, self._decode(raw, connection.msgtype), connection.topic
+                    )
 
-    def _stop(self, first_seconds: float | None) -> int | None:
+    def _next(self, stream: Iterator[tuple[Any, int, bytes]]) -> tuple[Any, int, bytes] | None:
+        try:
+            return next(stream, None)
+        except Exception as err:  # the decoders of a damaged file may raise anything
+            raise _unreadable(self.path, err) from None
+
+    def _stop(self, first_seconds: float | None, run: BagRun | None) -> int | None:
         """Where the bag's first seconds end [ns]; None for all of it."""
         if first_seconds is None:
             return None
         try:
-            return int(self._reader.start_time + int(first_seconds * 1e9))
+            start_ns = self._reader.start_time if run is None else run.start_ns
+            return int(start_ns + int(first_seconds * 1e9))
         except Exception as err:  # as above, of damaged metadata
             raise _unreadable(self.path, err) from None
 

@@ -128,6 +128,7 @@ class LoopCloser:
     def consider(self, submap: Submap) -> tuple[ClosureAttempt, ...]:
         """Take in a finished local map; returns what was tried."""
         attempts: list[ClosureAttempt] = []
+        self._forget_old(submap)
         verified = []
         for candidate in self._candidates(submap, self.graph.poses()):
             target, T_predicted, cov, window, is_strict = candidate
@@ -158,7 +159,7 @@ class LoopCloser:
             self.accepted = [pair for pair in self.accepted if id(pair[1]) not in dropped]
             attempts += self.reject_outliers()
         if self.is_known:
-            self.places.settle(submap.anchor, self.accepted)
+            self.places.settle(submap.anchor, self.accepted, [one.anchor for one in self.submaps])
         return tuple(attempts)
 
     def decide(
@@ -308,6 +309,11 @@ class LoopCloser:
         std = np.array([std_m, std_m, config.std_rad + config.std_rad_per_m * path_m])
         return bool(np.sum((offset / std) ** 2) < self.config.gate)
 
+    def _forget_old(self, submap: Submap) -> None:
+        """Let go of closures that lie too far back for one of this local map to confirm them."""
+        most_m = self.config.consistency.max_path_m
+        self.pending = [one for one in self.pending if abs(submap.path_m - one.source.path_m) <= most_m]
+
     def _accept(self, closures: list[Closure]) -> None:
         self._add_edges(closures)
         self.graph.update()
@@ -323,7 +329,7 @@ class LoopCloser:
             )
             if edge is not None:
                 self.accepted.append((closure, edge))
-                self.places.visits[closure.target.anchor] += 1
+                self.places.see(closure)
 
     def _residuals2(self) -> FloatArray:
         """(k,) squared residuals of the accepted closures, each in its own covariance."""

@@ -11,7 +11,7 @@ import os
 import zlib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.frozen_state import FrozenRun
@@ -91,17 +91,17 @@ class CheckpointFile:
         """
         try:
             with self._path.open("rb") as file:
-                magic = file.read(len(MAGIC))
-                header = file.readline(_MOST_HEADER_BYTES)
+                known = _header(file)
                 packed = file.read(_MOST_STATE_BYTES)
         except FileNotFoundError:
             return None
         except OSError as error:
             raise InputError(f"{self._path}: cannot be read ({error.strerror or error})") from error
-        if magic != MAGIC:
+        except (ValueError, RecursionError):
+            raise self._damaged("is damaged") from None
+        if known is None:
             raise self._damaged("is no checkpoint of this version")
         try:
-            known = json.loads(header)
             if hashlib.sha256(packed).hexdigest() != known["sha256"]:
                 raise self._damaged("is damaged")
             n_bytes, state = known["n_bytes"], None
@@ -175,6 +175,19 @@ class CheckpointFile:
         return spool
 
 
+def _header(file: IO[bytes]) -> Any:
+    """What the two first lines of a checkpoint say; None of a file of another format.
+
+    Raises
+    ------
+    ValueError, RecursionError
+        The second line is not JSON.
+    """
+    if file.read(len(MAGIC)) != MAGIC:
+        return None
+    return json.loads(file.readline(_MOST_HEADER_BYTES))
+
+
 def _unpacked(packed: bytes, n_bytes: int) -> bytes:
     if not 0 <= n_bytes <= _MOST_STATE_BYTES:
         raise ValueError("a state of no sensible size")
@@ -188,10 +201,9 @@ def _unpacked(packed: bytes, n_bytes: int) -> bytes:
 def notes_of(folder: Path) -> dict[str, Any]:
     """Give the notes of a folder's checkpoint; empty where there is none that can be read."""
     with (
-        suppress(OSError, ValueError, KeyError, RecursionError),
+        suppress(OSError, ValueError, KeyError, TypeError, RecursionError),
         (folder / CHECKPOINT_FILE).open("rb") as file,
     ):
-        if file.read(len(MAGIC)) == MAGIC:
-            notes = json.loads(file.readline(_MOST_HEADER_BYTES))["notes"]
-            return notes if isinstance(notes, dict) else {}
+        notes = (_header(file) or {"notes": None})["notes"]
+        return notes if isinstance(notes, dict) else {}
     return {}

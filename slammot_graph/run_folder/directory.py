@@ -10,6 +10,7 @@ from slammot_graph.core.errors import InputError
 from slammot_graph.run_folder.atomic import temporary_path, write_errors
 from slammot_graph.run_folder.checkpoint import CHECKPOINT_FILE, SCANS_FILE
 from slammot_graph.run_folder.lock import LOCK_FILE, folder_lock
+from slammot_graph.run_folder.recording import cut_to_whole_messages
 
 RUN_FILES = (
     "trajectory.tum",
@@ -112,15 +113,17 @@ def recording_parts(output: Path) -> list[Path]:
 
 
 def keep_recording(output: Path) -> None:
-    """Let what is recorded so far be a part of its own, beside which the rest is recorded.
+    """Let what is recorded so far, up to its last whole message, be a part beside which the rest is recorded.
 
     Raises
     ------
     InputError
-        It cannot be renamed.
+        It cannot be cut or renamed.
     """
     path = output / "run.rrd"
     with write_errors(path, "remove it yourself, or name another --output"):
+        if path.exists():
+            cut_to_whole_messages(path)
         if path.exists():
             path.rename(output / f"run.{len(recording_parts(output)) + 1}.rrd")
 

@@ -14,7 +14,7 @@ CONFIG = PoseGraphConfig(relinearize_threshold=0.01)
 
 
 def grow(graph: PoseGraph, rng: np.random.Generator, n: int) -> None:
-    """Drive a circle with noise; a closure every ten nodes, some of them taken back; the graph is rebuilt once."""
+    """Drive a circle with noise; a closure every ten nodes, some of them taken back; rebuilt once, merged once."""
     if len(graph) == 0:
         graph.start(np.zeros(3))
     step = np.array([0.6, 0.0, 0.2])
@@ -33,6 +33,10 @@ def grow(graph: PoseGraph, rng: np.random.Generator, n: int) -> None:
                 graph.remove_edges([edge])
         if node == 35:
             graph.rebuild(graph.poses())
+        if node == 50:
+            graph.add_edge("closure", 3, 46, se2.between(graph.pose(3), graph.pose(46)), np.eye(3))
+            graph.add_edge("closure", 2, 40, se2.between(graph.pose(2), graph.pose(40)), np.eye(3))
+            graph.merge(range(40, 46), onto=2, cut=46)
 
 
 @pytest.mark.parametrize("n", [1, 9, 23, 45, 64])
@@ -44,6 +48,7 @@ def test_a_copy_is_the_same_and_goes_on_the_same(n: int) -> None:
         grow(one, np.random.default_rng(2), 25)
     np.testing.assert_array_equal(copy.poses(), graph.poses())
     np.testing.assert_array_equal(copy.marginals(), graph.marginals())
+    assert graph.n_merged == (6 if n + 25 > 50 else 0)
     assert len(copy.edges) == len(graph.edges)
     for one in (graph, copy):
         one.close()

@@ -121,9 +121,9 @@ def transform(
     return Sent(topic, stamp + 0.001, "tf2_msgs/msg/TFMessage", {"transforms": [stamped]})
 
 
-def write_bag(folder: Path, messages: Sequence[Sent], kind: str = "bag") -> Path:
-    """Write messages in the order of their recording times; the path is what `open_log` takes."""
-    messages = sorted(messages, key=lambda x: x.bag_stamp)
+def write_bag(folder: Path, messages: Sequence[Sent], kind: str = "bag", *, is_sorted: bool = False) -> Path:
+    """Write messages in the order of their recording times, or as given; the path is what `open_log` takes."""
+    messages = messages if is_sorted else sorted(messages, key=lambda x: x.bag_stamp)
     if kind == "bag":
         path, store = folder / "log.bag", ROS1
         writer: Any = Writer1(path)

@@ -53,6 +53,31 @@ def test_a_clock_of_the_laser_alone_is_none_of_a_simulation(tmp_path: Path) -> N
     assert not any("begins again" in text for text in log.warnings)
 
 
+def test_recording_times_that_begin_again_too(tmp_path: Path) -> None:
+    """As rosbag records a simulation by its own clock: both runs lie at the same times, in the order of the file."""
+    sent = [one._replace(bag_stamp=one.bag_stamp - 8.0 * (k >= 2 * N)) for k, one in enumerate(restarted())]
+    log = open_log(bf.write_bag(tmp_path, sent, is_sorted=True))
+    assert any("begins again once, first at scan 60, by up to 5.9 s" in text for text in log.warnings)
+    scans = list(log)
+    assert len(scans) == 2 * N
+    assert (np.diff([scan.stamp for scan in scans]) > 0.0).all()
+    assert [scan.ranges[0] for scan in scans] == [1.0] * N + [2.0] * N
+    poses = np.array([odometry_of(scan) for scan in scans])
+    np.testing.assert_allclose(poses[:N], np.outer(0.1 * np.arange(N), [1.0, 0.0, 0.0]), atol=0.02)
+    np.testing.assert_allclose(poses[N:, 1], 0.1 * np.arange(N), atol=0.02)
+    np.testing.assert_allclose(poses[N:, 2], 1.0, atol=1e-9)
+    assert [scan.stamp for scan in log] == [scan.stamp for scan in scans]
+
+
+def test_topics_one_after_the_other_are_one_run(tmp_path: Path) -> None:
+    """As of two recordings that were put together without sorting."""
+    sent = sorted(restarted()[: 2 * N], key=lambda one: one.topic)
+    log = open_log(bf.write_bag(tmp_path, sent, is_sorted=True))
+    assert not any("begins again" in text for text in log.warnings)
+    poses = np.array([odometry_of(scan) for scan in log])
+    np.testing.assert_allclose(poses[:, 0], 0.1 * np.arange(N), atol=0.02)
+
+
 @pytest.mark.parametrize(
     ("stamps", "expected"),
     [

@@ -1,6 +1,6 @@
-"""Laps in known places are tied to these alone, and the graph stays one that can be solved."""
+"""Laps in known places are merged into these, and the graph stays one that can be solved."""
 
-from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,30 +9,28 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraph, PoseGraphConfig
-from slammot_graph.loop_closure import known_places
 from slammot_graph.loop_closure.closure import Closure
-from slammot_graph.loop_closure.known_places import N_RECENT, KnownPlaces
+from slammot_graph.loop_closure.known_places import AWAY_M, MIN_VISITS, N_RECENT, KnownPlaces
 from slammot_graph.loop_closure.submap import Place
 
 N_OF_LAP = 12
-MIN_VISITS = 6
 STEP = np.array([1.0, 0.0, 2.0 * np.pi / N_OF_LAP])
 STD = np.array([0.02, 0.02, 0.01])
 INFORMATION = np.diag(STD**-2.0)
 
 
 def place(node: int) -> Place:
-    return Place(number=node, anchor=node, path_m=float(node), component=0)
+    return Place(number=node, anchor=node, path_m=2.0 * AWAY_M / N_OF_LAP * node, component=0)
 
 
 class Lapping:
     """A robot on a circle: a node for each place of it, and a closure of each later one with that of the first lap."""
 
-    def __init__(self, *, cuts: bool) -> None:
+    def __init__(self, *, merges: bool, targets: range = range(N_OF_LAP)) -> None:
         self.graph = PoseGraph(PoseGraphConfig())
         self.known = KnownPlaces(self.graph)
         self.accepted: list[tuple[Closure, GraphEdge]] = []
-        self.cuts = cuts
+        self.merges, self.targets = merges, targets
 
     def drive(self, n_laps: int) -> FloatArray:
         """(n,) true poses of all nodes."""
@@ -61,62 +59,71 @@ class Lapping:
             overlap=0.9,
         )
         self.accepted.append((closure, edge))
-        self.known.visits[node % N_OF_LAP] += 1
+        self.known.see(closure)
         self.graph.update()
-        if self.cuts:
-            self.known.settle(node, self.accepted)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_visits() -> Iterator[None]:
-    """Fewer than usual: the graph that stays tied takes long to solve."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(known_places, "MIN_VISITS", MIN_VISITS)
-        yield
+        if self.merges:
+            self.known.settle(node, self.accepted, self.targets)
 
 
 @pytest.fixture(scope="module")
 def both() -> tuple[Lapping, Lapping, FloatArray]:
-    cut, tied = Lapping(cuts=True), Lapping(cuts=False)
-    truth = cut.drive(MIN_VISITS + 4)
+    merged, tied = Lapping(merges=True), Lapping(merges=False)
+    truth = merged.drive(MIN_VISITS + 4)
     tied.drive(MIN_VISITS + 4)
-    return cut, tied, truth
+    return merged, tied, truth
 
 
-def test_nothing_is_cut_before_places_are_known_well() -> None:
-    cut, tied = Lapping(cuts=True), Lapping(cuts=False)
-    cut.drive(MIN_VISITS + 1)
+def test_nothing_is_merged_before_places_are_known_well() -> None:
+    merged, tied = Lapping(merges=True), Lapping(merges=False)
+    merged.drive(MIN_VISITS + 1)
     tied.drive(MIN_VISITS + 1)
-    np.testing.assert_array_equal(cut.graph.poses(), tied.graph.poses())
+    np.testing.assert_array_equal(merged.graph.poses(), tied.graph.poses())
 
 
-def test_a_late_lap_hangs_on_the_first_one_and_nothing_else_is_gone(
-    both: tuple[Lapping, Lapping, FloatArray],
-) -> None:
-    cut, tied, _ = both
-    gone = {(e.kind, e.from_node, e.to_node) for e in tied.graph.edges}
-    gone -= {(e.kind, e.from_node, e.to_node) for e in cut.graph.edges}
-    assert len(gone) > N_OF_LAP
-    assert {kind for kind, *_ in gone} == {"odometry"}
-    n = len(cut.graph)
-    ends = {to for _, _, to in gone}
-    assert ends <= set(range(MIN_VISITS * N_OF_LAP, n - N_RECENT))
+def test_late_laps_are_merged_into_the_first_one(both: tuple[Lapping, Lapping, FloatArray]) -> None:
+    merged, *_ = both
+    n = len(merged.graph)
+    # all but the well-known first laps, those at the first and at the latest cut, and the latest local maps
+    assert merged.graph.n_merged == n - (MIN_VISITS + 1) * N_OF_LAP - N_RECENT - 1
+    gone = set(range(n)) - {node for e in merged.graph.edges for node in (e.from_node, e.to_node)}
+    assert len(gone) == merged.graph.n_merged
+    for edge in merged.graph.all_edges[len(merged.graph.edges) :]:
+        assert (edge.kind, edge.from_node) == ("closure", edge.to_node % N_OF_LAP)
+        gone.remove(edge.to_node)
+    assert not gone
     # what is final is not judged again
-    assert not ends & {closure.source.anchor for closure, _ in cut.accepted}
+    assert {closure.source.anchor for closure, _ in merged.accepted} <= {
+        node for e in merged.graph.edges for node in (e.from_node, e.to_node)
+    }
 
 
 def test_each_node_stays_tied_to_an_earlier_one(both: tuple[Lapping, Lapping, FloatArray]) -> None:
-    cut, *_ = both
-    ends = {max(e.from_node, e.to_node) for e in cut.graph.edges}
-    assert ends == set(range(1, len(cut.graph)))
+    merged, *_ = both
+    ends = {max(e.from_node, e.to_node) for e in merged.graph.all_edges}
+    assert ends == set(range(1, len(merged.graph)))
 
 
 def test_poses_are_as_good_and_covariances_not_smaller(both: tuple[Lapping, Lapping, FloatArray]) -> None:
-    cut, tied, truth = both
-    off = se2.log(se2.between(truth, cut.graph.poses()))
+    merged, tied, truth = both
+    off = se2.log(se2.between(truth, merged.graph.poses()))
     off_tied = se2.log(se2.between(truth, tied.graph.poses()))
-    assert np.hypot(*off[:, :2].T).mean() < 1.3 * np.hypot(*off_tied[:, :2].T).mean()
-    more = cut.graph.marginals() - tied.graph.marginals()
+    assert np.hypot(*off[:, :2].T).mean() < 1.1 * np.hypot(*off_tied[:, :2].T).mean()
+    more = merged.graph.marginals() - tied.graph.marginals()
     assert np.linalg.eigvalsh(more).min() > -1e-7
-    nees = np.einsum("ki,kij,kj->k", off[1:], np.linalg.inv(cut.graph.marginals()[1:]), off[1:])
+    nees = np.einsum("ki,kij,kj->k", off[1:], np.linalg.inv(merged.graph.marginals()[1:]), off[1:])
     assert nees.mean() < 3.0 * 1.5
+
+
+def test_where_others_are_compared_with_it_nothing_is_merged() -> None:
+    lapping = Lapping(merges=True, targets=range(10_000))
+    lapping.drive(MIN_VISITS + 3)
+    assert lapping.graph.n_merged == 0
+
+
+def test_who_stays_has_not_come_back() -> None:
+    known, own = KnownPlaces(PoseGraph(PoseGraphConfig())), Lapping(merges=False)
+    own.drive(2)
+    first = own.accepted[0][0]
+    for path_m in (30.0, 35.0, 54.0, 73.0, 94.0):
+        known.see(replace(first, source=first.source._replace(path_m=path_m)))
+    assert known.visits[first.target.anchor] == 2
