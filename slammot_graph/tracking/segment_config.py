@@ -86,7 +86,7 @@ class SegmentTrackerConfig(Checked):
     twin_m: Positive = 0.5
     max_twin_s: Positive = 1.0
     n_confirm: Count = 3
-    strong_points: Count = 6
+    strong_points: Count = 5
     shown_s: Positive = 0.35
     max_empty_s: Positive = 0.6
     max_unproven_s: Positive = 1.0
