@@ -68,7 +68,7 @@ class SegmentTrackerConfig(Checked):
 
     acceleration_std_m_s2: Positive = 1.5
     leg_std_m: Positive = 0.15
-    body_std_m: Positive = 0.04
+    body_std_m: Positive = 0.06
     near_std_m: NotNegative = 0.07
     noise_gain: NotNegative = 0.05
     start_speed_std_m_s: Positive = 1.0
