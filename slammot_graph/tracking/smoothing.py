@@ -106,7 +106,6 @@ def smooth_tracks(
     kept.sort(key=lambda chain: int(chain.scans[0]))
     kept = _without_twins(kept, config.twin_m)
     if extension is not None:
-        kept = [chain for chain in kept if not extension.is_part_of_wall(chain, kept)]
         kept = [extension.extended(chain, kept, config) for chain in kept]
         kept = [
             extension.boxed(chain, config) if _object(0, chain).kind == "vehicle" else chain for chain in kept

@@ -5,7 +5,6 @@ things in a track's way, which the moving-point test could not know to move, wer
 scans, before anything was seen free, or where it parked.
 """
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -32,12 +31,6 @@ _AWAY_M = 0.8
 
 _LOOKS = 24
 """Scans that are asked about a place."""
-
-_PLACES = 12
-"""Places of a track that are asked about."""
-
-_ODDS = 20.0
-"""What the laser must tell against a track, since most of them are of objects."""
 
 _STRIDE = 4
 """Of the scans of an absence every fourth is asked."""
@@ -71,11 +64,8 @@ class TrackExtension:
         self._stamps = stamps
         self._limits = limits
 
-    def looks(self, place: FloatArray, scans: IntArray, by_hits: bool = False) -> tuple[int, int]:
-        """How many of some scans see through a place (2,), and how many hit something there.
-
-        `by_hits`: only beams that end behind it see through, not those that never return.
-        """
+    def looks(self, place: FloatArray, scans: IntArray) -> tuple[int, int]:
+        """How many of some scans see through a place (2,), and how many hit something there."""
         state = np.array([[place[0], place[1], 0.0, 0.0]])
         sight = np.empty(1, dtype=np.int64)
         n_empty = n_present = 0
@@ -83,31 +73,13 @@ class TrackExtension:
             view = self._view(k)
             _sight.sight_at(
                 state, view.T_local_laser, view.angle_min, view.angle_increment, view.ranges, view.is_valid,
-                math.nan if by_hits else view.no_return_m, _BODY_M, sight,
+                view.no_return_m, _BODY_M, sight,
             )  # fmt: skip
             n_empty += int(sight[0] == _sight.EMPTY)
             if sight[0] == _sight.PRESENT:
                 offset = view.points[view.is_valid] - place
                 n_present += int(np.square(offset).sum(axis=1).min() < _BODY_M**2)
         return n_empty, n_present
-
-    def is_part_of_wall(self, chain: Chain, chains: list[Chain]) -> bool:
-        """Whether the laser hits something at the places of a chain while nobody is there, rather than see through.
-
-        Parts of a wall that were called free, one after the other, look like something that goes along it. Each place
-        that enough scans looked at gives the logarithm of the odds of its looks.
-        """
-        every = np.linspace(0, len(chain.scans) - 1, min(_PLACES, len(chain.scans))).astype(np.int64)
-        near = np.arange(len(self._stamps))
-        near = near[np.argsort(np.abs(near - chain.scans[len(chain.scans) // 2]), kind="stable")][
-            :_MOST_SCANS
-        ]
-        evidence = 0.0
-        for place in chain.places[every]:
-            n_empty, n_present = self.looks(place, self.absences(chains, place, near), by_hits=True)
-            if n_empty + n_present >= _MIN_LOOKS:
-                evidence += math.log((n_empty + 0.5) / (n_present + 0.5))
-        return evidence < -math.log(_ODDS)
 
     def absences(self, chains: list[Chain], place: FloatArray, scans: IntArray) -> IntArray:
         """Of some scans, nearest first, `_LOOKS` at most at which none of the chains is near a place (2,)."""
@@ -224,8 +196,8 @@ class TrackExtension:
         place, noise = np.empty((1, 2)), np.empty((1, 2, 2))
         n_joined, size = np.empty(1, dtype=np.int64), np.empty(1)
         _segments.measure(
-            table, np.zeros(m, dtype=np.int64), limits[_table.LEG_WIDTH],
-            limits[_table.LEG_VARIANCE], limits[_table.BODY_VARIANCE], place, noise, n_joined, size,
+            table, np.zeros(m, dtype=np.int64), limits[_table.LEG_WIDTH], limits[_table.LEG_VARIANCE],
+            limits[_table.BODY_VARIANCE], place, noise, n_joined, size,
             np.empty(1, dtype=np.int64),
         )  # fmt: skip
         offset = place[0] - state[0, :2]

@@ -1,7 +1,6 @@
 """Tracks that go on beyond their labels."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -57,31 +56,6 @@ def test_a_track_goes_on_where_the_laser_sees_through_at_other_times() -> None:
 
 def test_a_track_does_not_go_on_in_what_stays() -> None:
     assert extended(walk(stays=True)).scans[0] == FIRST
-
-
-def test_what_goes_along_hits_that_are_there_at_any_time_is_a_part_of_a_wall() -> None:
-    along = [(X, float(Y[k]), 0.05) for k in range(FIRST, N, 2)]
-
-    def wall(k: int) -> ScanView:
-        return view_of(along, [FIRST <= k < N - 10 and abs(y - Y[k]) < 0.1 for _, y, _ in along])
-
-    chain = labelled()
-    for views, is_part in ((wall, True), (walk(), False)):
-        extension = TrackExtension(views, STAMPS, SegmentTrackerConfig().limits())
-        assert extension.is_part_of_wall(chain, [chain]) == is_part
-
-
-def test_beams_that_never_return_tell_neither_way() -> None:
-    def nothing(k: int) -> ScanView:
-        view = view_of([])
-        return replace(
-            view, ranges=np.full(len(view.ranges), np.inf), is_valid=np.zeros(len(view.ranges), dtype=bool)
-        )
-
-    extension = TrackExtension(nothing, STAMPS, SegmentTrackerConfig().limits())
-    place, scans = np.array([X, 0.0]), np.arange(10)
-    assert extension.looks(place, scans) == (10, 0)
-    assert extension.looks(place, scans, by_hits=True) == (0, 0)
 
 
 def test_what_jumps_about_is_no_object(rng: np.random.Generator) -> None:
