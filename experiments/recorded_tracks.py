@@ -37,7 +37,8 @@ def poses_of(bag: Path, topic: str) -> FloatArray:
 def vehicle_scores(bag: Path) -> dict[str, float]:
     """How one identity follows the other car, against its marker's pose; `online` and `final` figures.
 
-    The marker sits off the middle of the car: `spread` is the error less its mean in the car's own axes.
+    The origin of the marker's pose is not the middle of the car: `spread` is the error less its mean in the car's own
+    axes, and `pull` how far that points towards the laser: a box of which the far side was never seen lies too near.
     """
     result = Run(open_log(bag, odom_topic="/ego_pose"), "graph").complete()
     ego, other = (
@@ -53,12 +54,17 @@ def vehicle_scores(bag: Path) -> dict[str, float]:
         ids, is_near = rows[:, 1], np.hypot(offset[:, 0], offset[:, 1]) < _NEAR_M
         numbers, counts = np.unique(ids[is_near], return_counts=True)
         is_own = is_near & (ids == numbers[counts.argmax()])
-        own = np.einsum("mji,mj->mi", se2.rotation(truth[k[is_own], 2]), offset[is_own])
+        R = se2.rotation(truth[k[is_own], 2])
+        own = np.einsum("mji,mj->mi", R, offset[is_own])
+        spread = own - own.mean(axis=0)
+        to_laser = -np.einsum("mji,mj->mi", R, truth[k[is_own], :2])
+        to_laser /= np.hypot(to_laser[:, 0], to_laser[:, 1])[:, None]
         scores |= {
             f"{labels} share": len(np.unique(k[is_own])) / len(result.stamps),
             f"{labels} ids": float(len(numbers)),
             f"{labels} position_m": float(np.sqrt(np.square(own).sum(axis=1).mean())),
-            f"{labels} spread_m": float(np.sqrt(np.square(own - own.mean(axis=0)).sum(axis=1).mean())),
+            f"{labels} spread_m": float(np.sqrt(np.square(spread).sum(axis=1).mean())),
+            f"{labels} pull_m": float((spread * to_laser).sum(axis=1).mean()),
             f"{labels} false": float(len(np.setdiff1d(ids, numbers))),
         }
     return scores

@@ -106,7 +106,7 @@ def recorded_tables(options: Options) -> list[Table]:
     scores = run_cells("tracking_recorded", recorded_cell, cells, options)
     tables = []
     if vehicles := [log for log in recorded_tracks.VEHICLE_BAGS if log in scores]:
-        figures = ("share", "ids", "position_m", "spread_m", "false")
+        figures = ("share", "ids", "position_m", "spread_m", "pull_m", "false")
         rows = [
             [f"{log}, {labels}", *(f"{scores[log][f'{labels} {figure}']:.3g}" for figure in figures)]
             for log in vehicles
@@ -114,7 +114,8 @@ def recorded_tables(options: Options) -> list[Table]:
         ]
         columns = [
             *("log, tracks", "share of scans with one identity", "identities"),
-            *("from its marker [m]", "less the marker's mean offset [m]", "false tracks"),
+            *("from its marker [m]", "less the marker's mean offset [m]", "of it towards the laser [m]"),
+            "false tracks",
         ]
         tables.append(Table(heading="recorded: the other car", columns=columns, rows=rows))
     if "wheelchair" in scores:

@@ -10,7 +10,8 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.tracking._kernels import correct, learn_noise, predict
+from slammot_graph.tracking._kernels import correct, predict
+from slammot_graph.tracking._noise_kernels import blur_bodies, learn_noise
 from slammot_graph.tracking._segment_kernels import (
     N_POINTS,
     N_PROVEN,
@@ -48,6 +49,7 @@ from slammot_graph.tracking._table_kernels import (
     N_CONFIRM,
     N_HITS,
     N_ON_FREE,
+    NEAR_VARIANCE,
     NOISE,
     NOISE_GAIN,
     SEGMENT_GAP,
@@ -272,7 +274,7 @@ def _join(
         primary, owner,
     )  # fmt: skip
     places, noise = np.empty((n, 2)), np.empty((n, 2, 2))
-    n_joined, sizes = np.empty(n, dtype=np.int64), np.empty(n)
+    n_joined, sizes, kinds = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.int64)
     measure(
         table,
         owner,
@@ -283,8 +285,10 @@ def _join(
         noise,
         n_joined,
         sizes,
+        kinds,
     )
     drop_weak(table, owner, int(limits[MIN_UNPROVEN_POINTS]), primary, n_joined)
+    blur_bodies(states[:n], kinds, sizes, limits[BODY], limits[NEAR_VARIANCE], noise)
     of = np.empty(n, dtype=np.int64)
     n_seen = 0
     for t in range(n):
@@ -292,6 +296,7 @@ def _join(
         if of[t] >= 0:
             note(seen[n_seen], whole[ID, t], places[t], noise[t], sizes[t])
             n_seen += 1
-    learn_noise(states[:n], covs[:n], places, of, limits[NOISE_GAIN], noise, times[NOISE][:n])
+    factors = times[NOISE : NOISE + 2, :n]
+    learn_noise(states[:n], covs[:n], places, of, kinds, limits[NOISE_GAIN], noise, factors)
     correct(states[:n], covs[:n], places, noise, of)
     return n_seen

@@ -124,34 +124,6 @@ def correct(
                 P[i, j] -= a[i] * a[j] / var_u + b[i] * b[j] / var_w
 
 
-LEAST_NOISE, MOST_NOISE = 0.5, 5.0
-"""Bounds of the learnt factor on a measurement's variance."""
-
-
-@kernel
-def learn_noise(
-    states: FloatArray,
-    covs: FloatArray,
-    centres: FloatArray,
-    cluster_of: IntArray,
-    gain: float,
-    noise: FloatArray,
-    factor: FloatArray,
-) -> None:
-    """Scale `noise` (n, 2, 2) by each track's `factor` (n,), and that by its normalised innovation, in place.
-
-    A stochastic approximation of the factor with which the normalised innovation squared averages 2:
-    ``factor *= exp(gain * (min(nis, 10) / 2 - 1))``, for tracks with a measurement (-1 in `cluster_of`: none).
-    """
-    for t in range(states.shape[0]):
-        if cluster_of[t] < 0:
-            continue
-        noise[t] *= factor[t]
-        u, var_u, w, var_w, _ = _innovation(states[t], covs[t], centres[t], noise[t])
-        nis = min(u * u / var_u + w * w / var_w, 10.0)
-        factor[t] = min(max(factor[t] * math.exp(gain * (0.5 * nis - 1.0)), LEAST_NOISE), MOST_NOISE)
-
-
 @kernel
 def carry_track(
     state: FloatArray, cov: FloatArray, T_a_b: FloatArray, motion: FloatArray, place_cov: FloatArray

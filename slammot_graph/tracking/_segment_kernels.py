@@ -11,6 +11,9 @@ from slammot_graph.tracking._kernels import OUTSIDE, _innovation
 N_POINTS, X, Y, WIDTH, COV_XX, COV_XY, COV_YY, N_PROVEN = range(8)
 """Columns of a table of segments."""
 
+BODY_SEEN, LEG_SEEN = range(2)
+"""What was seen of an object: both legs or a trunk, or one leg."""
+
 
 @kernel
 def find_segments(
@@ -184,11 +187,12 @@ def measure(
     noise: FloatArray,
     n_joined: IntArray,
     sizes: FloatArray,
+    kinds: IntArray,
 ) -> None:
     """Centre of each track's object from its segments: the middle of both legs, or what one leg or a trunk tells.
 
     Fills `centres` (n, 2), `noise` (n, 2, 2) and `n_joined` (n,), the number of segments, and
-    `sizes` (n,) with the extent of what was seen [m].
+    `sizes` (n,) with the extent of what was seen [m], and `kinds` (n,) with `BODY_SEEN` or `LEG_SEEN`.
     """
     n = centres.shape[0]
     wide = np.zeros(n)
@@ -216,7 +220,8 @@ def measure(
         if n_joined[t] == 0:
             continue
         m = n_joined[t]
-        variance = both_variance if m > 1 or wide[t] > leg_width else leg_variance
+        kinds[t] = BODY_SEEN if m > 1 or wide[t] > leg_width else LEG_SEEN
+        variance = both_variance if kinds[t] == BODY_SEEN else leg_variance
         centres[t] /= m
         noise[t] /= m
         noise[t, 1, 0] = noise[t, 0, 1]

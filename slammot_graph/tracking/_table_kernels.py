@@ -13,9 +13,10 @@ ID, N_HITS, N_ALONE, SIGHT, N_ON_FREE = range(5)
 """Rows of the whole numbers (5, n): identity, sightings (strong ones twice), those with no other track near, what the
 laser sees there, sightings of which at least half the points were on free cells."""
 
-MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S, NOISE = range(5)
-"""Rows of the times (5, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
-cells proved; on the place of an older track; and, no time, the learnt factor on the variance of a track's sightings."""
+MISSED_S, EMPTY_S, UNPROVEN_S, TWIN_S, NOISE, NOISE_OF_LEG = range(6)
+"""Rows of the times (6, n) [s]: since the last sighting; of it, seen through; of sightings since the last one that free
+cells proved; on the place of an older track; and, no times, the learnt factors on the variance of a track's sightings
+of a body and of a leg."""
 
 HAS_DISPLACED, IS_SHOWN = range(2)
 """Rows of the flags (2, n)."""
@@ -24,7 +25,7 @@ HAS_DISPLACED, IS_SHOWN = range(2)
     ACCELERATION_STD, LEG_VARIANCE, BODY_VARIANCE, START_SPEED_VARIANCE, GATE, MAX_JUMP, SEGMENT_GAP, STANDING_REACH,
     STANDING_GAP, STANDING_SPEED, LEG_WIDTH, BODY, APART, TWIN, MAX_TWIN_S, N_CONFIRM, SHOWN_S, MAX_EMPTY_S,
     MAX_UNPROVEN_S, MIN_UNPROVEN_POINTS, MAX_MISSED_S, MIN_DISTANCE,
-    STANDING_DISTANCE, MIN_ON_FREE, STRONG_POINTS, NOISE_FACTOR, NOISE_GAIN,
+    STANDING_DISTANCE, MIN_ON_FREE, STRONG_POINTS, NEAR_VARIANCE, NOISE_GAIN,
 ) = range(27)  # fmt: skip
 """Entries of the limits (27,): the tracker's configuration as numbers."""
 
@@ -76,6 +77,7 @@ def begin(
     n_groups = group_unowned(table, is_free, limits[BODY], group)
     own, n_joined = np.empty(k, dtype=np.int64), np.empty(1, dtype=np.int64)
     place, noise, size = np.empty((1, 2)), np.empty((1, 2, 2)), np.empty(1)
+    kind = np.empty(1, dtype=np.int64)
     n_born = 0
     for g in range(n_groups):
         n_points = n_proven = 0.0
@@ -96,6 +98,7 @@ def begin(
             noise,
             n_joined,
             size,
+            kind,
         )
         t = n + n_born
         states[t] = 0.0
@@ -103,7 +106,7 @@ def begin(
         whole[:, t] = 0
         times[:, t] = 0.0
         flags[:, t] = False
-        times[NOISE, t] = limits[NOISE_FACTOR]
+        times[NOISE, t] = times[NOISE_OF_LEG, t] = 1.0
         for i in range(2):
             states[t, i] = starts[t, i] = place[0, i]
             covs[t, i + 2, i + 2] = limits[START_SPEED_VARIANCE]

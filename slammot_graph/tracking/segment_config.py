@@ -21,8 +21,10 @@ class SegmentTrackerConfig(Checked):
         Of one leg as a measurement of the person's centre.
     body_std_m : float
         The same of both legs, or of a trunk.
-    noise_factor, noise_gain : float
-        On the variance of both legs or a trunk at first, and how fast a track learns its own from its innovations.
+    near_std_m : float
+        That has in addition what is seen beside another object: a part of that may be among it.
+    noise_gain : float
+        How fast a track learns the factor on these variances from its innovations.
     start_speed_std_m_s : float
     gate : float
         Largest squared Mahalanobis distance of a segment to a track (9.21: 99% for two dimensions).
@@ -67,7 +69,7 @@ class SegmentTrackerConfig(Checked):
     acceleration_std_m_s2: Positive = 1.5
     leg_std_m: Positive = 0.15
     body_std_m: Positive = 0.06
-    noise_factor: Positive = 1.0
+    near_std_m: NotNegative = 0.07
     noise_gain: NotNegative = 0.05
     start_speed_std_m_s: Positive = 1.0
     gate: Positive = 9.21
@@ -84,7 +86,7 @@ class SegmentTrackerConfig(Checked):
     twin_m: Positive = 0.5
     max_twin_s: Positive = 1.0
     n_confirm: Count = 3
-    strong_points: Count = 6
+    strong_points: Count = 5
     shown_s: Positive = 0.35
     max_empty_s: Positive = 0.6
     max_unproven_s: Positive = 1.0
@@ -122,7 +124,7 @@ class SegmentTrackerConfig(Checked):
                 self.standing_distance_m,
                 self.min_on_free,
                 self.strong_points,
-                self.noise_factor,
+                self.near_std_m**2,
                 self.noise_gain,
             ],
             dtype=np.float64,

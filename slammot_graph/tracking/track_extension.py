@@ -195,6 +195,7 @@ class TrackExtension:
         _segments.measure(
             table, np.zeros(m, dtype=np.int64), limits[_table.LEG_WIDTH], limits[_table.LEG_VARIANCE],
             limits[_table.BODY_VARIANCE], place, noise, n_joined, size,
+            np.empty(1, dtype=np.int64),
         )  # fmt: skip
         offset = place[0] - state[0, :2]
         distance2 = float(offset @ np.linalg.solve(cov[0, :2, :2] + noise[0], offset))

@@ -41,7 +41,7 @@ class TrackTable:
         self.covs: FloatArray = np.zeros((_ROOM, 4, 4))
         self.starts: FloatArray = np.zeros((_ROOM, 2))
         self.whole: IntArray = np.zeros((5, _ROOM), dtype=np.int64)
-        self.times: FloatArray = np.zeros((5, _ROOM))
+        self.times: FloatArray = np.zeros((6, _ROOM))
         self.flags: BoolArray = np.zeros((2, _ROOM), dtype=np.bool_)
         self.seen: FloatArray = np.full((_ROOM, 8), np.nan)
         self.beam_starts: IntArray = np.zeros(_ROOM + 1, dtype=np.int64)

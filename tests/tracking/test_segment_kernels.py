@@ -68,8 +68,8 @@ def test_a_centre_is_the_mean_of_the_segments(seed: int) -> None:
     rng = np.random.default_rng(seed)
     table, owner = table_of(rng, 9), rng.integers(-1, 4, 9)
     places, noise = np.empty((4, 2)), np.empty((4, 2, 2))
-    n_joined, sizes = np.empty(4, dtype=np.int64), np.empty(4)
-    _segment_kernels.measure(table, owner, 0.25, 0.02, 0.004, places, noise, n_joined, sizes)
+    n_joined, sizes, kinds = np.empty(4, dtype=np.int64), np.empty(4), np.empty(4, dtype=np.int64)
+    _segment_kernels.measure(table, owner, 0.25, 0.02, 0.004, places, noise, n_joined, sizes, kinds)
     for t in range(4):
         own = table[owner == t]
         assert n_joined[t] == len(own)
@@ -77,7 +77,9 @@ def test_a_centre_is_the_mean_of_the_segments(seed: int) -> None:
             assert sizes[t] == 0.0
             continue
         np.testing.assert_allclose(places[t], own[:, X : Y + 1].mean(axis=0))
-        variance = 0.004 if len(own) > 1 or own[:, WIDTH].max() > 0.25 else 0.02
+        is_body = len(own) > 1 or own[:, WIDTH].max() > 0.25
+        assert kinds[t] == (_segment_kernels.BODY_SEEN if is_body else _segment_kernels.LEG_SEEN)
+        variance = 0.004 if is_body else 0.02
         xx, xy, yy = own[:, 4:7].mean(axis=0)
         np.testing.assert_allclose(noise[t], [[xx + variance, xy], [xy, yy + variance]])
         apart = np.hypot(*(own[:, None, X : Y + 1] - own[:, X : Y + 1]).transpose(2, 0, 1))
@@ -275,22 +277,3 @@ def test_tracks_that_have_ended_leave_no_gap(seed: int) -> None:
     found += [rows[:, :kept] for rows in (whole, times, flags)]
     for one, right in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, right)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_track_learns_the_noise_of_its_measurements(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = 4
-    states, centres = rng.normal(0.0, 0.2, (n, 4)), rng.normal(0.0, 0.2, (n, 2))
-    root = rng.normal(0.0, 0.1, (n, 4, 4))
-    covs, noise = root @ root.transpose(0, 2, 1), np.tile(0.01 * np.eye(2), (n, 1, 1))
-    of, factor = np.array([0, -1, 2, 3]), rng.uniform(0.6, 2.0, n)
-    scaled, after = noise * factor[:, None, None], factor.copy()
-    for t in (0, 2, 3):
-        offset = centres[t] - states[t, :2]
-        nis = offset @ np.linalg.solve(covs[t, :2, :2] + scaled[t], offset)
-        after[t] = np.clip(factor[t] * np.exp(0.05 * (0.5 * min(nis, 10.0) - 1.0)), 0.5, 5.0)
-    scaled[1] = noise[1]
-    _kernels.learn_noise(states, covs, centres, of, 0.05, noise, factor)
-    np.testing.assert_allclose(noise, scaled, rtol=1e-12)
-    np.testing.assert_allclose(factor, after, rtol=1e-9)
