@@ -60,6 +60,8 @@ class MatchResult:
         Why it failed or is degenerate; empty when converged.
     contradicts_odometry : bool
         Match and odometry tell of different motions at this scan, whichever of them was believed.
+    walks_along : (n,) bool array or None
+        Beams on small things that were left out of the match, which they alone pull away from the odometry.
     """
 
     status: MatchStatus
@@ -77,6 +79,7 @@ class MatchResult:
     nis: float = math.nan
     reason: str = ""
     contradicts_odometry: bool = False
+    walks_along: BoolArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

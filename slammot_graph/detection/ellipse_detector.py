@@ -178,6 +178,16 @@ class EllipseDetector:
         self, scan: Scan, is_valid: BoolArray, predicted: PoseEstimate, predicted_positions: FloatArray
     ) -> Detection:
         """See `Detector`."""
+        return self._detect(scan, is_valid, predicted, predicted_positions)
+
+    def _detect(
+        self,
+        scan: Scan,
+        is_valid: BoolArray,
+        predicted: PoseEstimate,
+        predicted_positions: FloatArray,
+        walks_along: BoolArray | None = None,
+    ) -> Detection:
         self._T_tested = predicted.T_local_base
         self._expected = predicted_positions
         vacated, reach_m = None, 0.0
@@ -196,6 +206,7 @@ class EllipseDetector:
             vacated,
             reach_m,
             self._hits,
+            walks_along,
         )
 
     def retest(
@@ -218,6 +229,8 @@ class EllipseDetector:
             return detection.abstain()
         if match.nis > retest.abstain_nis:
             return detection.abstain()
+        if match.walks_along is not None:
+            return self._detect(scan, is_valid, matched, predicted_positions, match.walks_along)
         distance_m, turn_rad = se2.distance(self._T_tested, matched.T_local_base)
         if distance_m + turn_rad * self.max_range_m < retest.same_cells * self.grid.config.resolution_m:
             return detection

@@ -76,7 +76,11 @@ class ScanToMap:
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
         self.propagation.predict(scan)
-        self.matching.start_scan(scan.origins_base, self.propagation.T_local_before)
+        self.matching.start_scan(
+            scan.origins_base,
+            self.propagation.T_local_before,
+            has_odometry=scan.T_odom_base is not None,
+        )
         self._sweep, self._sweep_before, self._sweep_end = None, self._sweep_end, None
         self.matching.scale_noise(self.propagation.model.match_noise_scale)
         return self._estimate()

@@ -1,0 +1,92 @@
+"""Kernels that find who may walk along: small things that no keyframe from elsewhere has seen where they are."""
+
+import math
+
+import numpy as np
+
+from slammot_graph.core._numba import kernel
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.registration._pair_kernels import partner
+
+
+@kernel
+def small_things(
+    points: FloatArray, is_used: BoolArray, gap: float, gap_ratio: float, width: float, out: IntArray
+) -> int:
+    """Number in `out` (n,) the small things that the used points (n, 2) make up, -1 for other points; gives how many.
+
+    A thing ends where the next used point is farther than ``gap + gap_ratio * range`` [m]; it is small if its bounding
+    box is no longer than `width` [m] across.
+    """
+    n = points.shape[0]
+    n_things = 0
+    first = last = -1
+    x = y = x0 = x1 = y0 = y1 = 0.0
+    for k in range(n + 1):
+        if k < n:
+            out[k] = -1
+            if not is_used[k]:
+                continue
+            x = points[k, 0]
+            y = points[k, 1]
+            if first >= 0 and math.hypot(
+                x - points[last, 0], y - points[last, 1]
+            ) <= gap + gap_ratio * math.hypot(x, y):
+                x0 = min(x0, x)
+                x1 = max(x1, x)
+                y0 = min(y0, y)
+                y1 = max(y1, y)
+                last = k
+                continue
+        if first >= 0 and math.hypot(x1 - x0, y1 - y0) <= width:
+            for m in range(first, last + 1):
+                if is_used[m]:
+                    out[m] = n_things
+            n_things += 1
+        first = last = k
+        x0 = x1 = x
+        y0 = y1 = y
+    return n_things
+
+
+@kernel
+def may_walk_along(
+    thing: IntArray,
+    n_things: int,
+    points: FloatArray,
+    map_points: FloatArray,
+    nearest: "np.ndarray",
+    inv_cell: float,
+    first: int,
+    owner: "np.ndarray",
+    T_keyframes: FloatArray,
+    reach: float,
+    x: float,
+    y: float,
+    parallax: float,
+    out: BoolArray,
+) -> int:
+    """Mark in `out` (n,) the points of small things that are not known to stay; gives their number.
+
+    A thing is known to stay if half of its points, put at the matched pose, lie within `reach` [m] of points of the
+    local map that keyframes farther than `parallax` [m] from the robot (x, y) saw: what walks along is left behind
+    by none of them. Arguments of the map as of `partner`; `owner` (capacity,) rows of `T_keyframes` (k, 3).
+    """
+    size = np.zeros(n_things, dtype=np.int64)
+    n_known = np.zeros(n_things, dtype=np.int64)
+    for k in range(points.shape[0]):
+        t = thing[k]
+        if t < 0:
+            continue
+        size[t] += 1
+        m = partner(points[k, 0], points[k, 1], map_points, nearest, inv_cell, first, reach * reach)
+        if m < 0:
+            continue
+        seen_from = T_keyframes[owner[m]]
+        n_known[t] += math.hypot(seen_from[0] - x, seen_from[1] - y) > parallax
+    n_marked = 0
+    for k in range(points.shape[0]):
+        t = thing[k]
+        out[k] = t >= 0 and 2 * n_known[t] < size[t]
+        n_marked += out[k]
+    return n_marked
