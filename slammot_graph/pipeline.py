@@ -20,7 +20,8 @@ from slammot_graph.detection.base import NO_CLUSTERS, Detection
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
 from slammot_graph.detection.reasons import FREE
-from slammot_graph.detection.scan_history import ScanHistory
+from slammot_graph.detection.scan_history import SURE_P, ScanHistory
+from slammot_graph.detection.untracked import without_untracked
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.blind_scans import BlindScans
 from slammot_graph.localization.factory import make_localizer
@@ -130,7 +131,7 @@ class Pipeline:
         )
         watch.lap("map")
         tracks = self._track(scan, is_valid, detection, points, matched.T_local_base)
-        self._remember(scan, is_valid, detection, matched, match)
+        self._remember(scan, is_valid, detection, p_moving, matched, match)
         health = self.health.update(
             scan.index,
             match,
@@ -193,6 +194,21 @@ class Pipeline:
             sightings = sightings_of_views(view, stamps, T_map_base, make_tracker(config))
             extension = TrackExtension(view, stamps, config.limits())
         return smooth_tracks(sightings, stamps, T_map_base, config.smoothing, extension)
+
+    def labels_with_tracks(
+        self, T_map_base: FloatArray, labels: list[BoolArray], tracks: SmoothedTracks
+    ) -> list[BoolArray]:
+        """Take back final labels that no final track supports, at the optimised poses (n, 3)."""
+        if not isinstance(self.config.detector, EllipseDetectorConfig):
+            return labels
+        return without_untracked(
+            labels,
+            self._history,
+            T_map_base,
+            clusters=self.config.detector.clusters,
+            track_scans=tracks.scans,
+            track_places=tracks.states[:, :2],
+        )
 
     def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
         """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""
@@ -353,6 +369,7 @@ class Pipeline:
         scan: Scan,
         is_valid: BoolArray,
         detection: Detection,
+        p_moving: FloatArray,
         matched: Estimate,
         match: MatchResult | None,
     ) -> None:
@@ -364,7 +381,7 @@ class Pipeline:
             is_valid=is_valid,
             is_moving=detection.is_moving,
             reason=detection.reason,
-            on_objects=self.tracker.on_objects(len(is_valid)),
+            marks=np.vstack([self.tracker.on_objects(len(is_valid)), p_moving >= SURE_P]),
             cov_relative=self.detector.pose_covariance(matched),
             window=self.detector.window_start,
             is_doubtful=match is not None and match.status == "failed",

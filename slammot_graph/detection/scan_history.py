@@ -17,6 +17,8 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
 
 _HEAD = struct.Struct("=qdqiI?H9f")
+SURE_P = 0.95
+"""Beams that moved with at least this probability were sure."""
 _SWEEP = struct.Struct("=2d9f")
 
 
@@ -35,6 +37,8 @@ class ScanRecord:
         Beams on tracked objects that have displaced.
     is_lasting : (n,) bool array
         Beams on those and on others that are no false alarm by all evidence.
+    is_sure : (n,) bool array
+        Beams that were called moving with a probability of at least `SURE_P`.
     cov_relative : (3, 3) array
         Covariance of the matched pose in the test.
     window : int
@@ -49,6 +53,7 @@ class ScanRecord:
     is_wall: BoolArray
     is_displaced: BoolArray
     is_lasting: BoolArray
+    is_sure: BoolArray
     cov_relative: FloatArray
     window: int
     is_doubtful: bool
@@ -83,19 +88,19 @@ class ScanHistory(Sequence[ScanRecord]):
         is_valid: BoolArray,
         is_moving: BoolArray,
         reason: IntArray,
-        on_objects: BoolArray,
+        marks: BoolArray,
         cov_relative: FloatArray,
         window: int,
         is_doubtful: bool,
     ) -> None:
-        """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`."""
+        """Add a scan of n beams: see `ScanRecord`; `marks` (3, n) are `is_displaced`, `is_lasting` and `is_sure`."""
         # of several lasers, each is among the latest few
         laser = next((k for k, x in enumerate(self._lasers[-1:-9:-1], start=1) if x is scan.laser), 0)
         laser = len(self._lasers) - laser
         if laser == len(self._lasers):
             self._lasers.append(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
-        _kernels.pack_masks(is_valid, is_moving, reason, on_objects, masks)
+        _kernels.pack_masks(is_valid, is_moving, reason, marks, masks)
         cov = cov_relative.ravel().tolist()
         n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
@@ -143,7 +148,8 @@ class ScanHistory(Sequence[ScanRecord]):
         ranges = np.frombuffer(file.read(4 * n), dtype=np.float32).astype(np.float64)
         masks = np.frombuffer(file.read(n), dtype=np.uint8)
         beam_times, sweep = _read_sweep(file, n, n_knots)
-        valid, moving, wall, displaced, lasting = ((masks & bit).astype(np.bool_) for bit in (1, 2, 4, 8, 16))
+        bits = (1, 2, 4, 8, 16, 32)
+        valid, moving, wall, displaced, lasting, sure = ((masks & bit).astype(np.bool_) for bit in bits)
         return ScanRecord(
             scan=Scan(
                 index=index,
@@ -159,6 +165,7 @@ class ScanHistory(Sequence[ScanRecord]):
             is_wall=wall,
             is_displaced=displaced,
             is_lasting=lasting,
+            is_sure=sure,
             cov_relative=np.array(cov).reshape(3, 3),
             window=window,
             is_doubtful=is_doubtful,
