@@ -20,6 +20,7 @@ from slammot_graph.detection.furniture import without_furniture
 from slammot_graph.detection.hit_memory import HitMemory, HitMemoryConfig
 from slammot_graph.detection.probability import probability_of_moving
 from slammot_graph.detection.scan_history import ScanRecord
+from slammot_graph.detection.unlikely import is_crowded, without_unlikely
 from slammot_graph.detection.visibility_check import VisibilityCheck, VisibilityCheckConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig, NoReturnConfig, OccupancyGrid
 from slammot_graph.odometry.noise import ConstantNoise
@@ -249,6 +250,13 @@ class EllipseDetector:
     ) -> FloatArray:
         """See `Detector`."""
         return probability_of_moving(detection, points, scan.ranges, self.grid, predicted_positions)
+
+    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+        """See `Detector`: what lies beside vacated places must be probable, unless much of the scan moves."""
+        check = self.config.visibility_check
+        if check is None or is_crowded(detection, is_valid, check.crowd_share):
+            return detection
+        return without_unlikely(detection, p_moving, check.min_p)
 
     def update(
         self,

@@ -56,6 +56,10 @@ class NoDetection:
         """See `Detector`; 0 for all returns."""
         return probability_without_clusters(detection)
 
+    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+        """See `Detector`."""
+        return detection
+
     def update(
         self,
         scan: Scan,

@@ -6,7 +6,27 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.registration._pair_kernels import partner
+
+
+@kernel
+def partner(
+    x: float,
+    y: float,
+    map_points: FloatArray,
+    nearest: "np.ndarray",
+    inv_cell: float,
+    first: int,
+    reach2: float,
+) -> int:
+    """Row of the local map's point nearest to x, y [m], or -1; the kernel of that name in `registration`, once more."""
+    mask = nearest.shape[0] - 1
+    number = nearest[math.floor(y * inv_cell) & mask, math.floor(x * inv_cell) & mask]
+    if number < first:
+        return -1
+    m = number & (map_points.shape[0] - 1)
+    dx = x - map_points[m, 0]
+    dy = y - map_points[m, 1]
+    return -1 if dx * dx + dy * dy > reach2 else m
 
 
 @kernel
@@ -90,3 +110,44 @@ def may_walk_along(
         out[k] = t >= 0 and 2 * n_known[t] < size[t]
         n_marked += out[k]
     return n_marked
+
+
+@kernel
+def keep_pulling(
+    thing: IntArray,
+    n_things: int,
+    points_with: FloatArray,
+    points_without: FloatArray,
+    map_points: FloatArray,
+    map_normals: FloatArray,
+    nearest: "np.ndarray",
+    inv_cell: float,
+    first: int,
+    reach: float,
+    is_suspect: BoolArray,
+) -> int:
+    """Leave of the suspects (n,) those on things nearer to the map at the pose to which they pull; gives their number.
+
+    `points_with` and `points_without` (n, 2) are the scan at the matches with all and without the suspects. Distances
+    are those to the lines of the local map, or to its points where these have no normal, and at most `reach` [m].
+    """
+    gain = np.zeros(n_things)
+    for k in range(thing.shape[0]):
+        if not is_suspect[k]:
+            continue
+        for points, sign in ((points_without, 1.0), (points_with, -1.0)):
+            m = partner(points[k, 0], points[k, 1], map_points, nearest, inv_cell, first, reach * reach)
+            d2 = reach * reach
+            if m >= 0:
+                dx = points[k, 0] - map_points[m, 0]
+                dy = points[k, 1] - map_points[m, 1]
+                if map_normals[m, 0] == 0.0 and map_normals[m, 1] == 0.0:
+                    d2 = dx * dx + dy * dy
+                else:
+                    d2 = (dx * map_normals[m, 0] + dy * map_normals[m, 1]) ** 2
+            gain[thing[k]] += sign * d2
+    n_kept = 0
+    for k in range(thing.shape[0]):
+        is_suspect[k] = is_suspect[k] and gain[thing[k]] > 0.0
+        n_kept += is_suspect[k]
+    return n_kept

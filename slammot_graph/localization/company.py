@@ -14,7 +14,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, NotNegative, Positive, Share
 from slammot_graph.core.results import MatchResult
-from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.localization import _company_kernels
 from slammot_graph.mapping.local_map import LocalMap
 
@@ -72,12 +72,21 @@ class CompanyCheck:
     ----------
     config : CompanyConfig
     walks_along : (n,) bool array or None
-        Beams that were left out of the match of the latest scan.
+        Beams that pulled the match of the latest scan away; they were left out of it.
+    has_odometry : bool
+        There is odometry at the latest scan.
     """
 
     def __init__(self, config: CompanyConfig) -> None:
         self.config = config
         self.walks_along: BoolArray | None = None
+        self.has_odometry = False
+        self._thing: IntArray = np.empty(0, dtype=np.int64)
+        self._n_things = 0
+
+    def start_scan(self, *, has_odometry: bool) -> None:
+        """Move on to the next scan."""
+        self.walks_along, self.has_odometry = None, has_odometry
 
     def is_likely(self, match: MatchResult, without: MatchResult, static_share: float) -> bool:
         """Tell whether a match without small things explains the scan and the odometry where that with them does not.
@@ -111,8 +120,8 @@ class CompanyCheck:
         T_local_base : (3,) array
         """
         config = self.config
-        thing = np.empty(len(points_base), dtype=np.int64)
-        n_things = _company_kernels.small_things(
+        self._thing = thing = np.empty(len(points_base), dtype=np.int64)
+        self._n_things = n_things = _company_kernels.small_things(
             points_base, is_static, config.gap_m, config.gap_ratio, config.width_m, thing
         )
         is_suspect = np.empty(len(points_base), dtype=np.bool_)
@@ -136,3 +145,28 @@ class CompanyCheck:
         if n_suspect < config.min_points or n_rest < config.min_rest * n_suspect:
             return None
         return is_suspect
+
+    def pulling(
+        self,
+        local_map: LocalMap,
+        points_base: FloatArray,
+        is_suspect: BoolArray,
+        T_with: FloatArray,
+        T_without: FloatArray,
+    ) -> BoolArray:
+        """(n,) suspects, as just found, that pull to where they are matched (3,) from the pose without them (3,)."""
+        is_pulling = is_suspect.copy()
+        _company_kernels.keep_pulling(
+            self._thing,
+            self._n_things,
+            se2.transform(T_with, points_base),
+            se2.transform(T_without, points_base),
+            local_map.points,
+            local_map.normals,
+            local_map.nearest,
+            local_map.inv_cell,
+            local_map.first,
+            self.config.reach_m,
+            is_pulling,
+        )
+        return is_pulling

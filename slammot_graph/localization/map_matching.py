@@ -46,7 +46,6 @@ class MapMatching:
         self._noise_scale = 1.0
         self._elsewhere: MotionState | None = None
         self._latest: MatchResult | None = None
-        self._has_odometry = False
         self._company = None if config.company is None else CompanyCheck(config.company)
 
     def start_scan(
@@ -69,9 +68,8 @@ class MapMatching:
             agreement = self.agreement(self._latest)
             self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
         self._latest = self._elsewhere = None
-        self._has_odometry = has_odometry
         if self._company is not None:
-            self._company.walks_along = None
+            self._company.start_scan(has_odometry=has_odometry)
 
     def scale_noise(self, scale: float) -> None:
         """Take the noise of matches for so many times what the configuration says, from now on."""
@@ -184,7 +182,7 @@ class MapMatching:
     ) -> tuple[BoolArray, Match]:
         """Leave out small things that alone pull the match away from the odometry; gives the points used, too."""
         company, match = self._company, matched.result
-        if company is None or not self._has_odometry or match.status == "failed":
+        if company is None or not company.has_odometry or match.status == "failed":
             return is_static, matched
         config = company.config
         company.walks_along = None
@@ -200,7 +198,8 @@ class MapMatching:
         there = self._match_from(points_base, rest, start._replace(T_local_base=matched.T_a_base, **_HELD))
         if there.result.inlier_ratio > without.result.inlier_ratio + config.agreement_margin:
             return is_static, matched
-        company.walks_along = is_suspect
+        poses = matched.T_a_base, without.T_a_base
+        company.walks_along = company.pulling(self.local_map, points_base, is_suspect, *poses)
         return rest, without
 
     def _match_from(

@@ -120,3 +120,22 @@ def test_without_odometry_nothing_tells_company_from_the_building() -> None:
     found.start_scan(LASER.origin_base, np.zeros(3), has_odometry=False)
     match, _ = found.match(scan.points_base(), scan.is_valid(), state_at(STEP))
     assert match.walks_along is None
+
+
+def test_only_those_who_pull_walk_along() -> None:
+    """One of three sets out, while the robot and the others stand."""
+    discs = COMPANY.copy()
+    discs[0, 0] += 0.08
+    scan = take_scan(np.zeros(3), walls=CORRIDOR, discs=discs.tolist())
+    found = matching(CORRIDOR, ScanToMapConfig(), np.zeros(3))
+    suspects = found._company.suspects(  # type: ignore[union-attr]
+        found.local_map, scan.points_base(), scan.is_valid(), np.zeros(3)
+    )
+    assert suspects is not None
+    pulling = found._company.pulling(  # type: ignore[union-attr]
+        found.local_map, scan.points_base(), suspects, np.array([-0.04, 0.0, 0.0]), np.zeros(3)
+    )
+    assert scan.truth is not None
+    who = scan.truth.object_id
+    assert pulling[who == 0].mean() > 0.9
+    assert not pulling[(who == 1) | (who == 2)].any()
