@@ -19,6 +19,7 @@ from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_movin
 from slammot_graph.detection.furniture import without_furniture
 from slammot_graph.detection.hit_memory import HitMemory, HitMemoryConfig
 from slammot_graph.detection.probability import probability_of_moving
+from slammot_graph.detection.reasons import VACATED
 from slammot_graph.detection.scan_history import ScanRecord
 from slammot_graph.detection.unlikely import is_crowded, without_unlikely
 from slammot_graph.detection.visibility_check import VisibilityCheck, VisibilityCheckConfig
@@ -254,7 +255,9 @@ class EllipseDetector:
     def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
         """See `Detector`: what lies beside vacated places must be probable, unless much of the scan moves."""
         check = self.config.visibility_check
-        if check is None or is_crowded(detection, is_valid, check.crowd_share):
+        if check is None or not np.count_nonzero(detection.reason == VACATED):
+            return detection
+        if is_crowded(detection, is_valid, check.crowd_share):
             return detection
         return without_unlikely(detection, p_moving, check.min_p)
 

@@ -32,8 +32,6 @@ def without_unlikely(detection: Detection, p_moving: FloatArray, min_p: float) -
     """
     cluster, n = detection.cluster, detection.n_clusters
     is_vacated = detection.reason == VACATED
-    if not is_vacated.any():
-        return detection
     in_cluster = cluster >= 0
     has_vacated = np.bincount(cluster[is_vacated], minlength=n) > 0
     has_free = np.bincount(cluster[in_cluster & (detection.reason == FREE)], minlength=n) > 0

@@ -122,8 +122,9 @@ class MapMatching:
             )
         if self._elsewhere is not None:
             match = replace(match, contradicts_odometry=True)
-        if self._company is not None and match.status != "failed":
-            match = replace(match, walks_along=self._company.walks_along)
+        walks_along = None if self._company is None else self._company.walks_along
+        if walks_along is not None and match.status != "failed":
+            match = replace(match, walks_along=walks_along)
         self._latest = match
         return match, state
 
