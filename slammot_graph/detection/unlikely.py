@@ -15,7 +15,7 @@ from slammot_graph.detection.reasons import FREE, UNKNOWN, VACATED
 
 def is_crowded(detection: Detection, is_valid: BoolArray, crowd_share: float) -> bool:
     """Tell whether more than this share of a scan's returns (n,) seems to move."""
-    return np.count_nonzero(detection.is_moving) > crowd_share * np.count_nonzero(is_valid)
+    return bool(np.count_nonzero(detection.is_moving) > crowd_share * np.count_nonzero(is_valid))
 
 
 def without_unlikely(detection: Detection, p_moving: FloatArray, min_p: float) -> Detection:
