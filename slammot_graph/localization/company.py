@@ -32,8 +32,8 @@ class CompanyConfig(Checked):
     min_agreement : float
         ... this share of the rest of the scan must agree with it ...
     crowd_share, crowd_nis_share : float
-        Where more than this share of a scan moves, company is likely: the second in place of `nis_share`, and no
-        `min_agreement` is asked for.
+        Where more than this share of a scan moves, company is likely: the second in place of `nis_share`, no
+        `min_agreement` is asked for, and all that is left out walks along, not just what pulls.
     agreement_margin : float
         ... and as many of its points as with the other one, but for this share.
     gap_m, gap_ratio : float
@@ -88,6 +88,10 @@ class CompanyCheck:
         """Move on to the next scan."""
         self.walks_along, self.has_odometry = None, has_odometry
 
+    def is_crowd(self, static_share: float) -> bool:
+        """Tell whether so much of a scan was called moving that its small things are probably people as well."""
+        return 1.0 - static_share > self.config.crowd_share
+
     def is_likely(self, match: MatchResult, without: MatchResult, static_share: float) -> bool:
         """Tell whether a match without small things explains the scan and the odometry where that with them does not.
 
@@ -101,7 +105,7 @@ class CompanyCheck:
         config = self.config
         if without.status == "failed":
             return False
-        if 1.0 - static_share > config.crowd_share:
+        if self.is_crowd(static_share):
             return without.nis < config.crowd_nis_share * match.nis
         return without.nis < config.nis_share * match.nis and without.inlier_ratio >= config.min_agreement
 

@@ -199,8 +199,11 @@ class MapMatching:
         there = self._match_from(points_base, rest, start._replace(T_local_base=matched.T_a_base, **_HELD))
         if there.result.inlier_ratio > without.result.inlier_ratio + config.agreement_margin:
             return is_static, matched
-        poses = matched.T_a_base, without.T_a_base
-        company.walks_along = company.pulling(self.local_map, points_base, is_suspect, *poses)
+        if company.is_crowd(self._static_share):
+            company.walks_along = is_suspect
+        else:
+            poses = matched.T_a_base, without.T_a_base
+            company.walks_along = company.pulling(self.local_map, points_base, is_suspect, *poses)
         return rest, without
 
     def _match_from(
