@@ -127,7 +127,8 @@ class ScanToMapConfig(Checked):
         that moves disagree.
     close_loops : bool
     company : CompanyConfig or None
-        None: what walks along is matched like all else, unless it was called moving.
+        None: what walks along is matched like all else, unless it was called moving. With it, people who set out
+        together with a robot that stood hold it back less, but where the odometry is faulty the match may break.
     odometry, local_map, point_to_line, graph, closure
         Configuration of the parts.
     """
@@ -151,7 +152,7 @@ class ScanToMapConfig(Checked):
     astray_share: Share = 0.5
     min_agreement: Share = 0.75
     close_loops: bool = True
-    company: CompanyConfig | None = field(default_factory=CompanyConfig)
+    company: CompanyConfig | None = None
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)

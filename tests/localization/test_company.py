@@ -94,7 +94,7 @@ def test_who_sets_out_with_the_robot_does_not_hold_it_back() -> None:
 def test_the_odometry_slips_where_the_walls_tell_so(has_odometry: bool) -> None:
     """Nothing has moved, but the odometry says so: the walls agree with the small things."""
     scan = take_scan(np.zeros(3), walls=WIDE_ROOM, discs=COMPANY.tolist())
-    found = matching(WIDE_ROOM, ScanToMapConfig(), np.zeros(3))
+    found = matching(WIDE_ROOM, ScanToMapConfig(company=CompanyConfig()), np.zeros(3))
     found.start_scan(LASER.origin_base, np.zeros(3), has_odometry=has_odometry)
     match, _ = found.match(scan.points_base(), scan.is_valid(), state_at(STEP))
     assert match.walks_along is None
@@ -105,7 +105,7 @@ def test_what_was_seen_from_elsewhere_stays_where_it_is() -> None:
     scan = take_scan(np.zeros(3), walls=CORRIDOR, discs=COMPANY.tolist())
     suspects = []
     for seen_from in (np.zeros(3), np.array([-0.8, 0.0, 0.0])):
-        found = matching(CORRIDOR, ScanToMapConfig(), seen_from)
+        found = matching(CORRIDOR, ScanToMapConfig(company=CompanyConfig()), seen_from)
         match, _ = found.match(scan.points_base(), scan.is_valid(), state_at(STEP))
         suspects.append(
             0 if match.walks_along is None else np.count_nonzero(match.walks_along & is_person(scan))
@@ -116,7 +116,7 @@ def test_what_was_seen_from_elsewhere_stays_where_it_is() -> None:
 
 def test_without_odometry_nothing_tells_company_from_the_building() -> None:
     scan = take_scan(STEP, walls=CORRIDOR, discs=moved(COMPANY).tolist())
-    found = matching(CORRIDOR, ScanToMapConfig(), np.zeros(3))
+    found = matching(CORRIDOR, ScanToMapConfig(company=CompanyConfig()), np.zeros(3))
     found.start_scan(LASER.origin_base, np.zeros(3), has_odometry=False)
     match, _ = found.match(scan.points_base(), scan.is_valid(), state_at(STEP))
     assert match.walks_along is None
@@ -127,7 +127,7 @@ def test_only_those_who_pull_walk_along() -> None:
     discs = COMPANY.copy()
     discs[0, 0] += 0.08
     scan = take_scan(np.zeros(3), walls=CORRIDOR, discs=discs.tolist())
-    found = matching(CORRIDOR, ScanToMapConfig(), np.zeros(3))
+    found = matching(CORRIDOR, ScanToMapConfig(company=CompanyConfig()), np.zeros(3))
     suspects = found._company.suspects(  # type: ignore[union-attr]
         found.local_map, scan.points_base(), scan.is_valid(), np.zeros(3)
     )
