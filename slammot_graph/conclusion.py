@@ -92,10 +92,13 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
     # a step that was cut short may have left a pose or a label more
     labels = None if labels is None else labels[:n]
 
-    def find_tracks() -> SmoothedTracks | None:
-        return pipeline.final_tracks(T_map_base[:n], labels) if isinstance(pipeline, Pipeline) else None
-
-    tracks = attempt("final tracks", find_tracks, lambda: None)
+    all_labels = labels
+    tracks = attempt("final tracks", lambda: _tracks(pipeline, T_map_base[:n], all_labels), lambda: None)
+    labels = attempt(
+        "labels by tracks",
+        lambda: _with_tracks(pipeline, T_map_base[:n], all_labels, tracks),
+        lambda: all_labels,
+    )
 
     def render_map() -> GridMap:
         if not isinstance(pipeline, Pipeline):
@@ -132,6 +135,24 @@ def conclude(pipeline: Pipeline | KissIcpPipeline, kept: KeptSteps) -> Outcome:
         tracks=tracks,
         failures=failures,
     )
+
+
+def _tracks(
+    pipeline: Pipeline | KissIcpPipeline, T_map_base: FloatArray, labels: list[BoolArray] | None
+) -> SmoothedTracks | None:
+    return pipeline.final_tracks(T_map_base, labels) if isinstance(pipeline, Pipeline) else None
+
+
+def _with_tracks(
+    pipeline: Pipeline | KissIcpPipeline,
+    T_map_base: FloatArray,
+    labels: list[BoolArray] | None,
+    tracks: SmoothedTracks | None,
+) -> list[BoolArray] | None:
+    """Take back the labels that no track supports."""
+    if not isinstance(pipeline, Pipeline) or labels is None or tracks is None:
+        return labels
+    return pipeline.labels_with_tracks(T_map_base, labels, tracks)
 
 
 def _compared(

@@ -8,8 +8,9 @@ from types import TracebackType
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import GraphEdge, GridMap, MatchResult, StepResult, TrackState
+from slammot_graph.core.results import GraphEdge, GridMap, StepResult, TrackState
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.spool import Spool
@@ -20,7 +21,8 @@ from slammot_graph.detection.base import NO_CLUSTERS, Detection
 from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig
 from slammot_graph.detection.factory import make_detector
 from slammot_graph.detection.reasons import FREE
-from slammot_graph.detection.scan_history import ScanHistory
+from slammot_graph.detection.scan_history import SURE_P, ScanHistory
+from slammot_graph.detection.untracked import without_untracked
 from slammot_graph.localization.base import Estimate, FinalEstimate
 from slammot_graph.localization.blind_scans import BlindScans
 from slammot_graph.localization.factory import make_localizer
@@ -114,6 +116,7 @@ class Pipeline:
         scan, matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
         points = scan.points(matched.T_local_base)
         p_moving = self.detector.p_moving(scan, detection, points, predicted_positions)
+        detection = self.detector.settle(detection, is_valid, p_moving)
         is_static = is_valid & ~detection.is_moving
         watch.lap("detect")
         committed = self.localizer.commit(scan, scan.points_base(), is_static)
@@ -131,7 +134,7 @@ class Pipeline:
         )
         watch.lap("map")
         tracks = self._track(scan, is_valid, detection, points, matched.T_local_base)
-        self._remember(scan, is_valid, detection, matched, match)
+        self._remember(scan, is_valid, detection, p_moving, matched, match)
         health = self.health.update(
             scan.index,
             match,
@@ -194,6 +197,21 @@ class Pipeline:
             sightings = sightings_of_views(view, stamps, T_map_base, make_tracker(config))
             extension = TrackExtension(view, stamps, config.limits())
         return smooth_tracks(sightings, stamps, T_map_base, config.smoothing, extension)
+
+    def labels_with_tracks(
+        self, T_map_base: FloatArray, labels: list[BoolArray], tracks: SmoothedTracks
+    ) -> list[BoolArray]:
+        """Take back final labels that no final track supports, at the optimised poses (n, 3)."""
+        if not isinstance(self.config.detector, EllipseDetectorConfig):
+            return labels
+        return without_untracked(
+            labels,
+            self._history,
+            T_map_base,
+            clusters=self.config.detector.clusters,
+            track_scans=tracks.scans,
+            track_places=tracks.states[:, :2],
+        )
 
     def moving_points(self, T_map_base: FloatArray, labels: list[BoolArray]) -> FloatArray:
         """(m, 2) points [m] of all scans that the final labels call moving, with their poses (n, 3), map frame."""
@@ -354,6 +372,7 @@ class Pipeline:
         scan: Scan,
         is_valid: BoolArray,
         detection: Detection,
+        p_moving: FloatArray,
         matched: Estimate,
         match: MatchResult | None,
     ) -> None:
@@ -365,7 +384,7 @@ class Pipeline:
             is_valid=is_valid,
             is_moving=detection.is_moving,
             reason=detection.reason,
-            on_objects=self.tracker.on_objects(len(is_valid)),
+            marks=np.vstack([self.tracker.on_objects(len(is_valid)), p_moving >= SURE_P]),
             cov_relative=self.detector.pose_covariance(matched),
             window=self.detector.window_start,
             is_doubtful=match is not None and match.status == "failed",

@@ -163,5 +163,6 @@ def test_every_valid_beam_of_a_crowd_has_a_probability_and_a_reason_that_fits() 
     for step in islice(Run(log, "graph"), 120):
         assert np.isfinite(step.p_moving[step.is_valid]).all()
         assert (
-            np.isin(step.reason, (reasons.FREE, reasons.TRACKED, reasons.VACATED)) == step.is_moving
+            np.isin(step.reason, (reasons.FREE, reasons.TRACKED, reasons.VACATED, reasons.ALONG))
+            == step.is_moving
         ).all()

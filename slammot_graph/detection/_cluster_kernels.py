@@ -6,7 +6,16 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection.reasons import ABSTAINED, DISCARDED, FREE, OCCUPIED, TRACKED, UNKNOWN, VACATED
+from slammot_graph.detection.reasons import (
+    ABSTAINED,
+    ALONG,
+    DISCARDED,
+    FREE,
+    OCCUPIED,
+    TRACKED,
+    UNKNOWN,
+    VACATED,
+)
 
 
 @kernel
@@ -220,7 +229,7 @@ def group_moving(
     cluster: IntArray,
     is_moving: BoolArray,
 ) -> int:
-    """Group the beams on free cells, then those on unknown ones near places (k, 2) that are empty now or expected.
+    """Group the beams FREE or ALONG, then those on unknown cells near places (k, 2) that are empty now or expected.
 
     Takes `reason` (n,) from the test and completes it, fills `cluster` and `is_moving` (n,); returns the number of
     clusters. If more than `abstain_share` of the valid beams would move, none does.
@@ -228,21 +237,18 @@ def group_moving(
     n = points.shape[0]
     is_near = np.empty(n, dtype=np.bool_)
     for k in range(n):
-        is_moving[k] = reason[k] == FREE
+        is_moving[k] = reason[k] in (FREE, ALONG)
     n_clusters = find_clusters(
         points, is_moving, max_gap, max_skipped_beams, min_points, max_x_range, max_y_range,
         split_gap, split_min_points, cluster,
     )  # fmt: skip
     for k in range(n):
         is_moving[k] = cluster[k] >= 0
-        if reason[k] == FREE and not is_moving[k]:
+        if reason[k] in (FREE, ALONG) and not is_moving[k]:
             reason[k] = DISCARDED
     for hint in range(2):
-        places, reach, why, least = (
-            (vacated, vacated_reach, VACATED, min_points)
-            if hint == 0
-            else (expected, expected_reach, TRACKED, 1)
-        )
+        places, reach = (vacated, vacated_reach) if hint == 0 else (expected, expected_reach)
+        why, least = (VACATED, min_points) if hint == 0 else (TRACKED, 1)
         if (
             places.shape[0] == 0
             or reach <= 0.0
@@ -263,7 +269,7 @@ def group_moving(
     for k in range(n):
         n_valid += is_valid[k]
         n_moving += is_moving[k]
-        if not is_moving[k] and (reason[k] == FREE or reason[k] == VACATED or reason[k] == TRACKED):
+        if not is_moving[k] and reason[k] in (FREE, VACATED, TRACKED, ALONG):
             reason[k] = DISCARDED  # as when a wider group took it in
     if n_clusters > 0 and n_moving > abstain_share * n_valid:
         for k in range(n):

@@ -333,14 +333,15 @@ def pack_masks(
     is_valid: BoolArray,
     is_moving: BoolArray,
     reason: IntArray,
-    on_objects: BoolArray,
+    marks: BoolArray,
     out: "npt.NDArray[np.uint8]",
 ) -> None:
-    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell, 8 and 16 as of `on_objects` (2, n)."""
+    """Fill `out` (n,) with bits: 1 valid, 2 moving, 4 on an occupied cell, 8, 16 and 32 as of `marks` (3, n)."""
     for k in range(is_valid.shape[0]):
         bits = 1 if is_valid[k] else 0
         bits += 2 if is_moving[k] else 0
         bits += 4 if reason[k] == OCCUPIED else 0
-        bits += 8 if on_objects[0, k] else 0
-        bits += 16 if on_objects[1, k] else 0
+        bits += 8 if marks[0, k] else 0
+        bits += 16 if marks[1, k] else 0
+        bits += 32 if marks[2, k] else 0
         out[k] = bits

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _cluster_kernels, reasons
@@ -140,6 +140,9 @@ class Detector(Protocol):
         self, scan: Scan, detection: Detection, points: FloatArray, predicted_positions: FloatArray
     ) -> FloatArray:
         """(n,) probability that each beam hit something that moves, with its points (n, 2) in the local frame [m]."""
+
+    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+        """Take back what is more probably static, by the probabilities (n,) of `p_moving`."""
 
     def update(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveOrInfinite, PositiveShare, Share
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection.backward_pass import retrospective_labels
@@ -19,7 +19,9 @@ from slammot_graph.detection.ellipse_test import EllipseTestConfig, detect_movin
 from slammot_graph.detection.furniture import without_furniture
 from slammot_graph.detection.hit_memory import HitMemory, HitMemoryConfig
 from slammot_graph.detection.probability import probability_of_moving
+from slammot_graph.detection.reasons import VACATED
 from slammot_graph.detection.scan_history import ScanRecord
+from slammot_graph.detection.unlikely import is_crowded, without_unlikely
 from slammot_graph.detection.visibility_check import VisibilityCheck, VisibilityCheckConfig
 from slammot_graph.mapping.occupancy_grid import GridConfig, NoReturnConfig, OccupancyGrid
 from slammot_graph.odometry.noise import ConstantNoise
@@ -178,6 +180,16 @@ class EllipseDetector:
         self, scan: Scan, is_valid: BoolArray, predicted: PoseEstimate, predicted_positions: FloatArray
     ) -> Detection:
         """See `Detector`."""
+        return self._detect(scan, is_valid, predicted, predicted_positions)
+
+    def _detect(
+        self,
+        scan: Scan,
+        is_valid: BoolArray,
+        predicted: PoseEstimate,
+        predicted_positions: FloatArray,
+        walks_along: BoolArray | None = None,
+    ) -> Detection:
         self._T_tested = predicted.T_local_base
         self._expected = predicted_positions
         vacated, reach_m = None, 0.0
@@ -196,6 +208,7 @@ class EllipseDetector:
             vacated,
             reach_m,
             self._hits,
+            walks_along,
         )
 
     def retest(
@@ -218,6 +231,8 @@ class EllipseDetector:
             return detection.abstain()
         if match.nis > retest.abstain_nis:
             return detection.abstain()
+        if match.walks_along is not None:
+            return self._detect(scan, is_valid, matched, predicted_positions, match.walks_along)
         distance_m, turn_rad = se2.distance(self._T_tested, matched.T_local_base)
         if distance_m + turn_rad * self.max_range_m < retest.same_cells * self.grid.config.resolution_m:
             return detection
@@ -236,6 +251,15 @@ class EllipseDetector:
     ) -> FloatArray:
         """See `Detector`."""
         return probability_of_moving(detection, points, scan.ranges, self.grid, predicted_positions)
+
+    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+        """See `Detector`: what lies beside vacated places must be probable, unless much of the scan moves."""
+        check = self.config.visibility_check
+        if check is None or not np.count_nonzero(detection.reason == VACATED):
+            return detection
+        if is_crowded(detection, is_valid, check.crowd_share):
+            return detection
+        return without_unlikely(detection, p_moving, check.min_p)
 
     def update(
         self,

@@ -119,6 +119,7 @@ def detect_moving(
     vacated: FloatArray | None = None,
     vacated_reach_m: float = 0.5,
     hits: HitMemory | None = None,
+    walks_along: BoolArray | None = None,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -140,12 +141,17 @@ def detect_moving(
         Beams on unknown cells move if they end this near to such a place.
     hits : HitMemory, optional
         What was hit before, frame a.
+    walks_along : (n,) bool array, optional
+        Beams that move though their cells are occupied or unknown, as `MatchResult.walks_along`.
     """
     expected = _NOWHERE if predicted_positions is None else predicted_positions
     points, packed, reason = _test(scan, is_valid, T_a_base, cov_pose, grid, config)
     if config.common_mode is not None:
         consensus = config.common_mode.consensus
         reason = _test_at_sigma_points(scan, is_valid, T_a_base, cov_pose, grid, config, consensus)
+    if walks_along is not None:
+        is_along = walks_along & ((reason == reasons.OCCUPIED) | (reason == reasons.UNKNOWN))
+        reason[is_along] = reasons.ALONG
     if hits is not None:
         hits.call_furniture(points, reason, clusters, expected, config.track_reach_m or 0.0)
     cluster, is_moving = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.bool_)

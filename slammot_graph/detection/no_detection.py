@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection.base import Detection, PoseEstimate
@@ -55,6 +55,10 @@ class NoDetection:
     ) -> FloatArray:
         """See `Detector`; 0 for all returns."""
         return probability_without_clusters(detection)
+
+    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+        """See `Detector`."""
+        return detection
 
     def update(
         self,

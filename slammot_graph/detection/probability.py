@@ -36,7 +36,7 @@ SHARE_OF_STATIC = {
     reasons.DISCARDED: 0.3,
     reasons.ABSTAINED: 0.4,
     reasons.NOT_TESTED: 0.0,
-    reasons.FURNITURE: 0.1,
+    reasons.FURNITURE: 0.2,
 }
 """Share of moving beams among those that were called static, by reason; by the same command (less for
 DISCARDED, which crowds dominate there)."""

@@ -2,7 +2,8 @@
 
 (
     NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, ABSTAINED, TRACKED, NOT_TESTED, VACATED, FURNITURE,
-) = range(11)  # fmt: skip
+    ALONG,
+) = range(12)  # fmt: skip
 
 REASONS = (
     "no valid return",
@@ -16,4 +17,5 @@ REASONS = (
     "static: this method makes no test",
     "moving: beside a place where something stood a moment ago that is empty now, and no occupied cell",
     "static: free cells only, but most of its cluster lies where static points lay before",
+    "moving: on a small thing that alone pulls the match away from the odometry",
 )

@@ -17,6 +17,8 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _kernels
 
 _HEAD = struct.Struct("=qdqiI?H9f")
+SURE_P = 0.95
+"""Beams that moved with at least this probability were sure."""
 _SWEEP = struct.Struct("=2d9f")
 
 
@@ -35,6 +37,8 @@ class ScanRecord:
         Beams on tracked objects that have displaced.
     is_lasting : (n,) bool array
         Beams on those and on others that are no false alarm by all evidence.
+    is_sure : (n,) bool array
+        Beams that were called moving with a probability of at least `SURE_P`.
     cov_relative : (3, 3) array
         Covariance of the matched pose in the test.
     window : int
@@ -49,6 +53,7 @@ class ScanRecord:
     is_wall: BoolArray
     is_displaced: BoolArray
     is_lasting: BoolArray
+    is_sure: BoolArray
     cov_relative: FloatArray
     window: int
     is_doubtful: bool
@@ -86,15 +91,15 @@ class ScanHistory(Sequence[ScanRecord]):
         is_valid: BoolArray,
         is_moving: BoolArray,
         reason: IntArray,
-        on_objects: BoolArray,
+        marks: BoolArray,
         cov_relative: FloatArray,
         window: int,
         is_doubtful: bool,
     ) -> None:
-        """Add the next scan of n beams: see `ScanRecord`; `on_objects` (2, n) are `is_displaced` and `is_lasting`."""
+        """Add a scan of n beams: see `ScanRecord`; `marks` (3, n) are `is_displaced`, `is_lasting` and `is_sure`."""
         laser = self._number_of(scan.laser)
         masks = np.empty(len(is_valid), dtype=np.uint8)
-        _kernels.pack_masks(is_valid, is_moving, reason, on_objects, masks)
+        _kernels.pack_masks(is_valid, is_moving, reason, marks, masks)
         cov = cov_relative.ravel().tolist()
         n_knots = 0 if scan.sweep is None else len(scan.sweep.T_stamp_base)
         head = _HEAD.pack(scan.index, scan.stamp, window, laser, len(masks), is_doubtful, n_knots, *cov)
@@ -148,9 +153,9 @@ class ScanHistory(Sequence[ScanRecord]):
         data = self._spool.read(place, end - place)
         index, stamp, window, laser, n, is_doubtful, n_knots, *cov = _HEAD.unpack_from(data)
         ranges = np.frombuffer(data, np.float32, n, _HEAD.size).astype(np.float64)
-        masks = np.empty((5, n), dtype=np.bool_)
+        masks = np.empty((6, n), dtype=np.bool_)
         _kernels.unpack_masks(np.frombuffer(data, np.uint8, n, _HEAD.size + 4 * n), masks)
-        valid, moving, wall, displaced, lasting = masks
+        valid, moving, wall, displaced, lasting, sure = masks
         beam_times, sweep = _read_sweep(data[_HEAD.size + 5 * n :], n, n_knots) if n_knots else (None, None)
         return ScanRecord(
             scan=Scan(
@@ -167,6 +172,7 @@ class ScanHistory(Sequence[ScanRecord]):
             is_wall=wall,
             is_displaced=displaced,
             is_lasting=lasting,
+            is_sure=sure,
             cov_relative=np.array(cov).reshape(3, 3),
             window=window,
             is_doubtful=is_doubtful,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slammot_graph.core.checks import Checked, Count, NotNegative, Positive
+from slammot_graph.core.checks import Checked, Count, NotNegative, Positive, Share
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.detection import _kernels
@@ -32,6 +32,10 @@ class VisibilityCheckConfig(Checked):
         The laser must see past the place by this much.
     min_run : int
         Neighbouring points that must all be gone.
+    min_p : float
+        What is called moving by this alone must be so probably moving by all evidence ...
+    crowd_share : float
+        ... unless more than this share of the scan moves.
     """
 
     reach_m: Positive = 0.5
@@ -39,6 +43,8 @@ class VisibilityCheckConfig(Checked):
     age_s: Positive = 1.0
     margin_m: NotNegative = 0.15
     min_run: Count = 3
+    min_p: Share = 0.2
+    crowd_share: Share = 0.15
 
 
 class _Seen(NamedTuple):

@@ -3,7 +3,8 @@
 from collections import Counter
 
 from slammot_graph.core.events import FOUND_AGAIN
-from slammot_graph.core.results import Health, MatchStatus, StepResult
+from slammot_graph.core.match_result import MatchStatus
+from slammot_graph.core.results import Health, StepResult
 from slammot_graph.core.spool import Spool
 from slammot_graph.diagnosis.consistency import InnovationConsistency
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics

@@ -8,8 +8,9 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event
 from slammot_graph.core.linalg import fused
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import ClosureAttempt, GraphEdge, Health, MatchResult
+from slammot_graph.core.results import ClosureAttempt, GraphEdge, Health
 from slammot_graph.core.saved_map import SavedMap
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.spool import Spool

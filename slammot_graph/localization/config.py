@@ -16,6 +16,7 @@ from slammot_graph.core.checks import (
 )
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import PoseGraphConfig
+from slammot_graph.localization.company import CompanyConfig
 from slammot_graph.loop_closure import LoopClosureConfig
 from slammot_graph.mapping.local_map import LocalMapConfig
 from slammot_graph.odometry.adaptive import AdaptiveOdometryConfig
@@ -132,6 +133,9 @@ class ScanToMapConfig(Checked):
         Where a larger share of all returns agrees with a match, it may contradict the prediction; those on something
         that moves disagree.
     close_loops : bool
+    company : CompanyConfig or None
+        None: what walks along is matched like all else, unless it was called moving. With it, people who set out
+        together with a robot that stood hold it back less, but where the odometry is faulty the match may break.
     odometry, local_map, point_to_line, graph, closure
         Configuration of the parts.
     """
@@ -158,6 +162,7 @@ class ScanToMapConfig(Checked):
     adrift_share: Share = 0.9
     min_agreement: Share = 0.75
     close_loops: bool = True
+    company: CompanyConfig | None = None
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from slammot_graph.core import se2
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import GraphEdge, MatchResult
+from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.spool import Spool
 from slammot_graph.core.types import BoolArray, FloatArray

@@ -6,8 +6,9 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import invert
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import ClosureAttempt, MatchResult
+from slammot_graph.core.results import ClosureAttempt
 from slammot_graph.core.saved_map import MapStart, SavedMap, SavedRun
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph

@@ -3,7 +3,8 @@
 from typing import Literal, NamedTuple
 
 from slammot_graph.core.events import Event, make_event
-from slammot_graph.core.results import Health, MatchResult
+from slammot_graph.core.match_result import MatchResult
+from slammot_graph.core.results import Health
 
 N_CONSISTENT = 5
 """So many matches in a row that converge and agree with the odometry end a contradiction, or being lost."""

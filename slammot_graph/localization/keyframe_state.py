@@ -3,7 +3,7 @@
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization.base import FIRST_COV, fuse
 from slammot_graph.localization.common_errors import CommonErrors

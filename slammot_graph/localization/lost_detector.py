@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import fuse
+from slammot_graph.localization.company import CompanyCheck
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry._motion_kernels import heavy_tail_scale
@@ -18,6 +19,9 @@ from slammot_graph.registration.factory import make_matcher
 
 N_SEARCHED = 60
 """Returns that a search of many starts looks at; the best start is then matched with all."""
+
+_HELD = {"cov_prior": 1e-10 * np.eye(3), "cov_independent": 1e-10 * np.eye(3)}
+"""Of a prior so certain that a match stays where it starts."""
 
 
 class MapMatching:
@@ -49,8 +53,11 @@ class MapMatching:
         self._elsewhere: MotionState | None = None
         self._latest: MatchResult | None = None
         self.is_adrift = False
+        self._company = None if config.company is None else CompanyCheck(config.company)
 
-    def start_scan(self, laser_base: FloatArray, T_local_before: FloatArray) -> None:
+    def start_scan(
+        self, laser_base: FloatArray, T_local_before: FloatArray, *, has_odometry: bool = False
+    ) -> None:
         """Move on to the next scan.
 
         Parameters
@@ -59,6 +66,8 @@ class MapMatching:
             Where all beams or each start from, base frame [m].
         T_local_before : (3,) array
             The pose at the scan before.
+        has_odometry : bool
+            There is odometry, without which who walks along cannot be told from the building.
         """
         self._T_local_earlier, self._T_local_before = self._T_local_before, T_local_before
         self.laser_base = laser_base
@@ -67,6 +76,8 @@ class MapMatching:
             self._usual_agreement += self.config.usual_gain * (agreement - self._usual_agreement)
         self._latest = self._elsewhere = None
         self.is_adrift = False
+        if self._company is not None:
+            self._company.start_scan(has_odometry=has_odometry)
 
     def scale_noise(self, scale: float) -> None:
         """Take the noise of matches for so many times what the configuration says, from now on."""
@@ -104,6 +115,7 @@ class MapMatching:
         self._static_share = float(np.count_nonzero(is_static) / max(int(np.count_nonzero(is_valid)), 1))
         matched = self._match_from(points_base, is_static, start, kernel_factor)
         if kernel_factor == 1.0:
+            is_static, matched = self._without_company(points_base, is_static, matched, start)
             matched, state = self._against_prediction(points_base, is_static, is_valid, matched, start)
         match = matched[0]
         if match.status == "failed" and kernel_factor < 1.0:
@@ -122,6 +134,9 @@ class MapMatching:
             )
         if self._elsewhere is not None:
             match = replace(match, contradicts_odometry=True)
+        walks_along = None if self._company is None else self._company.walks_along
+        if walks_along is not None and match.status != "failed":
+            match = replace(match, walks_along=walks_along)
         self._latest = match
         return match, state
 
@@ -177,6 +192,34 @@ class MapMatching:
             if self.agreement(second[0]) >= needed:
                 return second, loosened
         return matched, start
+
+    def _without_company(
+        self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
+    ) -> tuple[BoolArray, Match]:
+        """Leave out small things that alone pull the match away from the odometry; gives the points used, too."""
+        company, match = self._company, matched.result
+        if company is None or not company.has_odometry or match.status == "failed":
+            return is_static, matched
+        config = company.config
+        company.walks_along = None
+        if not match.nis >= config.min_nis:
+            return is_static, matched
+        is_suspect = company.suspects(self.local_map, points_base, is_static, matched.T_a_base)
+        if is_suspect is None:
+            return is_static, matched
+        rest = is_static & ~is_suspect
+        without = self._match_from(points_base, rest, start)
+        if not company.is_likely(match, without.result, self._static_share):
+            return is_static, matched
+        there = self._match_from(points_base, rest, start._replace(T_local_base=matched.T_a_base, **_HELD))
+        if there.result.inlier_ratio > without.result.inlier_ratio + config.agreement_margin:
+            return is_static, matched
+        if company.is_crowd(self._static_share):
+            company.walks_along = is_suspect
+        else:
+            poses = matched.T_a_base, without.T_a_base
+            company.walks_along = company.pulling(self.local_map, points_base, is_suspect, *poses)
+        return rest, without
 
     def _match_from(
         self,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.mapping.local_map import Keyframe
 

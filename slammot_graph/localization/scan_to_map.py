@@ -6,8 +6,9 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.events import Event, make_event
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import ClosureAttempt, GraphEdge, MatchResult
+from slammot_graph.core.results import ClosureAttempt, GraphEdge
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.spool import Spool
@@ -82,7 +83,11 @@ class ScanToMap:
     def predict(self, scan: Scan) -> Estimate:
         """See `Localizer`."""
         self.propagation.predict(scan)
-        self.matching.start_scan(scan.origins_base, self.propagation.T_local_before)
+        self.matching.start_scan(
+            scan.origins_base,
+            self.propagation.T_local_before,
+            has_odometry=scan.T_odom_base is not None,
+        )
         self._sweep, self._sweep_before, self._sweep_end = None, self._sweep_end, None
         self.matching.scale_noise(self.propagation.model.match_noise_scale)
         return self._estimate()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import CommitResult, Estimate

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import invert
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import BoolArray, FloatArray

@@ -8,7 +8,7 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import covariance_of
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.loop_closure import _kernels
 from slammot_graph.loop_closure.closure import Closure

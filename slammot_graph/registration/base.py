@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
 
 __all__ = ["Match", "MatchPrior", "MatchResult", "Matcher", "ReferenceScan"]

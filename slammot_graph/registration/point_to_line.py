@@ -16,7 +16,7 @@ from slammot_graph.core.checks import (
     Range,
 )
 from slammot_graph.core.linalg import covariance_of, invert
-from slammot_graph.core.results import MatchResult, MatchStatus
+from slammot_graph.core.match_result import MatchResult, MatchStatus
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.registration import _judge_kernels, _solve_kernels

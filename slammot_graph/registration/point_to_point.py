@@ -7,7 +7,7 @@ import numpy as np
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare
 from slammot_graph.core.linalg import covariance_of
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.registration import _point_to_point_kernels
 from slammot_graph.registration.base import Match, MatchPrior, ReferenceScan

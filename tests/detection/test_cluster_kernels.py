@@ -12,6 +12,7 @@ from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig, SplitConfig, find_clusters
 from slammot_graph.detection.reasons import (
     ABSTAINED,
+    ALONG,
     DISCARDED,
     FREE,
     NOT_VALID,
@@ -182,9 +183,10 @@ def plain_grouping(
 ) -> tuple[IntArray, IntArray, BoolArray, int]:
     """The beams on free cells; with those near vacated places; with those near expected ones, be there but one."""
     reason = tested.copy()
-    cluster, n_clusters = plain_clusters(points, tested == FREE, config)
+    is_first = np.isin(tested, [FREE, ALONG])
+    cluster, n_clusters = plain_clusters(points, is_first, config)
     is_moving = cluster >= 0
-    reason[(tested == FREE) & ~is_moving] = DISCARDED
+    reason[is_first & ~is_moving] = DISCARDED
     for places, reach_m, why, min_points in (
         (hints.vacated, hints.vacated_reach_m, VACATED, config.min_points),
         (hints.expected, hints.expected_reach_m, TRACKED, 1),
@@ -199,7 +201,7 @@ def plain_grouping(
             )
             is_moving = cluster >= 0
             reason[is_near] = np.where(is_moving[is_near], why, DISCARDED)
-    reason[~is_moving & np.isin(reason, [FREE, VACATED, TRACKED])] = DISCARDED
+    reason[~is_moving & np.isin(reason, [FREE, VACATED, TRACKED, ALONG])] = DISCARDED
     if np.count_nonzero(is_moving) > abstain_share * np.count_nonzero(is_valid):
         nothing = np.zeros_like(is_moving)
         return np.where(is_moving, ABSTAINED, reason), np.full_like(cluster, -1), nothing, 0
@@ -208,7 +210,8 @@ def plain_grouping(
 
 def random_test(rng: np.random.Generator, n: int) -> IntArray:
     """What the test said of n beams: surfaces of one kind, with single beams of others."""
-    kinds, weights = [NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN], [0.1, 0.15, 0.3, 0.4, 0.05]
+    kinds = [NOT_VALID, OCCUPIED, UNKNOWN, FREE, ALONG, TOO_UNCERTAIN]
+    weights = [0.1, 0.15, 0.3, 0.3, 0.1, 0.05]
     of_surfaces = np.repeat(rng.choice(kinds, n // 5 + 1, p=weights), 5)[:n]
     return np.where(rng.random(n) < 0.15, rng.choice(kinds, n, p=weights), of_surfaces)
 

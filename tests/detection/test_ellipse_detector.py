@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slammot_graph.core import se2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.detection import reasons

@@ -28,6 +28,7 @@ def record(k: int, *, sees_leg: bool, stamp: float | None = None) -> ScanRecord:
         is_wall=nothing,
         is_displaced=nothing,
         is_lasting=nothing,
+        is_sure=nothing,
         cov_relative=1e-6 * np.eye(3),
         window=0,
         is_doubtful=False,

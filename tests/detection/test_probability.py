@@ -89,6 +89,6 @@ def test_points_called_static_have_the_share_of_their_like(reason: int) -> None:
 
 
 def test_every_reason_has_a_probability_or_is_of_moving_points() -> None:
-    moving = {reasons.FREE, reasons.TRACKED, reasons.VACATED, reasons.NOT_VALID}
+    moving = {reasons.FREE, reasons.TRACKED, reasons.VACATED, reasons.ALONG, reasons.NOT_VALID}
     assert set(SHARE_OF_STATIC) | moving == set(range(len(reasons.REASONS)))
     assert all(0.0 <= share <= 1.0 for share in SHARE_OF_STATIC.values())

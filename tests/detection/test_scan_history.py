@@ -29,7 +29,7 @@ def judged_scans(rng: np.random.Generator, n: int) -> list[dict[str, Any]]:
                 "is_valid": rng.random(n_beams) < 0.4,
                 "is_moving": rng.random(n_beams) < 0.4,
                 "reason": rng.integers(0, len(reasons.REASONS), n_beams),
-                "on_objects": rng.random((2, n_beams)) < 0.1,
+                "marks": rng.random((3, n_beams)) < 0.1,
                 "cov_relative": np.diag([1e-5, 2e-5, 3e-6]),
                 "window": k // 2,
                 "is_doubtful": k == 3,
@@ -52,8 +52,9 @@ def test_what_is_kept_comes_back_as_it_was(
         np.testing.assert_array_equal(back.is_valid, item["is_valid"])
         np.testing.assert_array_equal(back.is_moving, item["is_moving"])
         np.testing.assert_array_equal(back.is_wall, item["reason"] == reasons.OCCUPIED)
-        np.testing.assert_array_equal(back.is_displaced, item["on_objects"][0])
-        np.testing.assert_array_equal(back.is_lasting, item["on_objects"][1])
+        np.testing.assert_array_equal(back.is_displaced, item["marks"][0])
+        np.testing.assert_array_equal(back.is_lasting, item["marks"][1])
+        np.testing.assert_array_equal(back.is_sure, item["marks"][2])
         np.testing.assert_allclose(back.scan.ranges, item["scan"].ranges, rtol=1e-6)
         np.testing.assert_allclose(back.cov_relative, item["cov_relative"], rtol=1e-6)
         assert (back.window, back.is_doubtful) == (item["window"], item["is_doubtful"])

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 
 MATCH = MatchResult(
     status="converged",

@@ -1,6 +1,6 @@
 import numpy as np
 
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization.base import FIRST_COV, fuse
 from tests.localization.matches import match_with

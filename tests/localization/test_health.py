@@ -1,5 +1,6 @@
 from slammot_graph.core.events import Event
-from slammot_graph.core.results import Health, MatchResult
+from slammot_graph.core.match_result import MatchResult
+from slammot_graph.core.results import Health
 from slammot_graph.localization.health import HealthMonitor
 from tests.localization.matches import CONTRADICTING, FAILED, MATCH, match_with
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.localization.lost_detector import Loss, LostDetector
 from tests.localization.matches import CONTRADICTING, FAILED, MATCH
 

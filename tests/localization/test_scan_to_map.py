@@ -6,8 +6,8 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import is_covariance
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
-from slammot_graph.core.results import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray

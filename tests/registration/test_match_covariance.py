@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slammot_graph.core import se2
 from slammot_graph.core.linalg import covariance_of, mahalanobis2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.mapping.local_map import LocalMap

@@ -4,7 +4,7 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.linalg import mahalanobis2
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe

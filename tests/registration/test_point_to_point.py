@@ -4,7 +4,7 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.linalg import is_covariance
-from slammot_graph.core.results import MatchResult
+from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.registration.point_to_point import PointToPointConfig, match_scans
 from tests.rooms import take_scan
