@@ -116,7 +116,7 @@ class Pipeline:
         scan, matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
         points = scan.points(matched.T_local_base)
         p_moving = self.detector.p_moving(scan, detection, points, predicted_positions)
-        detection = self.detector.settle(detection, is_valid, p_moving)
+        detection = self.detector.settle(detection, scan.ranges, is_valid, p_moving)
         is_static = is_valid & ~detection.is_moving
         watch.lap("detect")
         committed = self.localizer.commit(scan, scan.points_base(), is_static)

@@ -141,7 +141,9 @@ class Detector(Protocol):
     ) -> FloatArray:
         """(n,) probability that each beam hit something that moves, with its points (n, 2) in the local frame [m]."""
 
-    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+    def settle(
+        self, detection: Detection, ranges: FloatArray, is_valid: BoolArray, p_moving: FloatArray
+    ) -> Detection:
         """Take back what is more probably static, by the probabilities (n,) of `p_moving`."""
 
     def update(

@@ -252,14 +252,16 @@ class EllipseDetector:
         """See `Detector`."""
         return probability_of_moving(detection, points, scan.ranges, self.grid, predicted_positions)
 
-    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+    def settle(
+        self, detection: Detection, ranges: FloatArray, is_valid: BoolArray, p_moving: FloatArray
+    ) -> Detection:
         """See `Detector`: what lies beside vacated places must be probable, unless much of the scan moves."""
         check = self.config.visibility_check
         if check is None or not np.count_nonzero(detection.reason == VACATED):
             return detection
         if is_crowded(detection, is_valid, check.crowd_share):
             return detection
-        return without_unlikely(detection, p_moving, check.min_p)
+        return without_unlikely(detection, np.where(is_valid, ranges, np.inf), p_moving, check.min_p)
 
     def update(
         self,

@@ -56,7 +56,9 @@ class NoDetection:
         """See `Detector`; 0 for all returns."""
         return probability_without_clusters(detection)
 
-    def settle(self, detection: Detection, is_valid: BoolArray, p_moving: FloatArray) -> Detection:
+    def settle(
+        self, detection: Detection, ranges: FloatArray, is_valid: BoolArray, p_moving: FloatArray
+    ) -> Detection:
         """See `Detector`."""
         return detection
 

@@ -1,12 +1,13 @@
 """Clusters beside vacated places that are more probably something that comes into view than somebody who moves.
 
 Who leaves a place uncovers what stands behind it, and a door that closes leaves a place empty: on unknown cells, what
-lies beside such a place is worth a label only if it looks like a person as well. In a crowd most of it does.
+lies beside such a place is worth a label only if it looks like a person as well, or stands free before what is behind
+it, as who walks ahead of the robot does. In a crowd most of it does.
 """
 
 import numpy as np
 
-from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.reasons import FREE, UNKNOWN, VACATED
 
@@ -16,13 +17,23 @@ def is_crowded(detection: Detection, is_valid: BoolArray, crowd_share: float) ->
     return bool(np.count_nonzero(detection.is_moving) > crowd_share * np.count_nonzero(is_valid))
 
 
-def without_unlikely(detection: Detection, p_moving: FloatArray, min_p: float) -> Detection:
+FREE_STANDING_M = 0.3
+"""Both beams beside what stands free reach farther by at least so much."""
+
+
+def without_unlikely(
+    detection: Detection, ranges: FloatArray, p_moving: FloatArray, min_p: float
+) -> Detection:
     """Call the clusters static that have no beam on free cells, one beside a vacated place, and a low probability.
+
+    Those that stand free before what is behind them stay as they are.
 
     Parameters
     ----------
     detection : Detection
         of n beams.
+    ranges : (n,) array [m]
+        Infinite where nothing came back.
     p_moving : (n,) array
         By `probability.probability_of_moving`.
     min_p : float
@@ -36,6 +47,8 @@ def without_unlikely(detection: Detection, p_moving: FloatArray, min_p: float) -
     p = np.zeros(n)
     p[cluster[in_cluster]] = p_moving[in_cluster]
     is_dropped = np.append(has_vacated & ~has_free & (p < min_p), False)  # -1: of no cluster
+    for k in np.flatnonzero(is_dropped):
+        is_dropped[k] = not _stands_free(np.flatnonzero(cluster == k), ranges)
     if not is_dropped.any():
         return detection
     is_static = is_dropped[cluster]
@@ -46,3 +59,10 @@ def without_unlikely(detection: Detection, p_moving: FloatArray, min_p: float) -
         cluster=np.where(is_static, -1, number[cluster]),
         n_clusters=int(np.count_nonzero(~is_dropped[:-1])),
     )
+
+
+def _stands_free(beams: IntArray, ranges: FloatArray) -> bool:
+    """Tell whether the beams on both sides of some reach farther, as far as there are any."""
+    first, last = int(beams[0]), int(beams[-1])
+    is_before = first == 0 or ranges[first - 1] > ranges[first] + FREE_STANDING_M
+    return bool(is_before and (last + 1 == len(ranges) or ranges[last + 1] > ranges[last] + FREE_STANDING_M))
