@@ -45,8 +45,7 @@ class MapMatching:
         self.local_map = local_map
         self.matcher = make_matcher(config.point_to_line)
         self.laser_base: FloatArray = np.zeros(2)
-        self._T_local_before: FloatArray = se2.IDENTITY
-        self._T_local_earlier: FloatArray = se2.IDENTITY
+        self._T_local_lately = (se2.IDENTITY, se2.IDENTITY)  # at the scan before the latest, and the one before that
         self._static_share = 1.0
         self._usual_agreement = 0.0
         self._noise_scale = 1.0
@@ -69,7 +68,7 @@ class MapMatching:
         has_odometry : bool
             There is odometry, without which who walks along cannot be told from the building.
         """
-        self._T_local_earlier, self._T_local_before = self._T_local_before, T_local_before
+        self._T_local_lately = T_local_before, self._T_local_lately[0]
         self.laser_base = laser_base
         if self._latest is not None and self._latest.status == "converged":
             agreement = self.agreement(self._latest)
@@ -309,8 +308,8 @@ class MapMatching:
 
     def _starts_before(self) -> list[FloatArray]:
         """Where the robot was before, and where its last motion leads."""
-        increment = se2.between(self._T_local_earlier, self._T_local_before)
-        return [self._T_local_before, se2.compose(self._T_local_before, increment)]
+        before, earlier = self._T_local_lately
+        return [before, se2.compose(before, se2.between(earlier, before))]
 
     def _turned_starts(self, start: MotionState, beyond_rad: float, reach_rad: float) -> list[FloatArray]:
         """The predicted pose turned either way, in steps, by more than one angle and up to another."""
