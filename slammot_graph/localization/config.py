@@ -134,8 +134,8 @@ class ScanToMapConfig(Checked):
         that moves disagree.
     close_loops : bool
     company : CompanyConfig or None
-        None: what walks along is matched like all else, unless it was called moving. With it, people who set out
-        together with a robot that stood hold it back less, but where the odometry is faulty the match may break.
+        Of people who set out together with a robot that stood; None: they are matched like all else, unless they were
+        called moving.
     odometry, local_map, point_to_line, graph, closure
         Configuration of the parts.
     """
@@ -162,7 +162,7 @@ class ScanToMapConfig(Checked):
     adrift_share: Share = 0.9
     min_agreement: Share = 0.75
     close_loops: bool = True
-    company: CompanyConfig | None = None
+    company: CompanyConfig | None = field(default_factory=CompanyConfig)
     odometry: AdaptiveOdometryConfig = field(default_factory=AdaptiveOdometryConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     point_to_line: PointToLineConfig = field(default_factory=PointToLineConfig)
