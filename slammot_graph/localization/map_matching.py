@@ -45,7 +45,7 @@ class MapMatching:
         self.local_map = local_map
         self.matcher = make_matcher(config.point_to_line)
         self.laser_base: FloatArray = np.zeros(2)
-        self._T_local_lately = (se2.IDENTITY, se2.IDENTITY)  # at the scan before the latest, and the one before that
+        self._T_local_lately = (se2.IDENTITY, se2.IDENTITY)  # at the scan before, and before that one
         self._static_share = 1.0
         self._usual_agreement = 0.0
         self._noise_scale = 1.0
