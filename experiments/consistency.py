@@ -146,10 +146,10 @@ def _growth(names: list[str], column: Callable[[str, str], list[float]]) -> Tabl
     for name in names:
         row = [name]
         for end in ends:
-            error, stated = (
-                math.sqrt(np.nanmean(column(name, f"{what} to {end}"))) for what in ("error", "stated")
-            )
-            row.append("" if math.isnan(error) else f"{1e3 * error:.1f} / {1e3 * stated:.1f}")
+            columns = (np.array(column(name, f"{what} to {end}")) for what in ("error", "stated"))
+            known = [one[np.isfinite(one)] for one in columns]
+            stds = [f"{1e3 * math.sqrt(one.mean()):.1f}" for one in known if len(one)]
+            row.append(" / ".join(stds))
         rows.append(row)
     return Table(
         heading="Position in the map: error / stated standard deviation [mm]",

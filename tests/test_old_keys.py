@@ -149,6 +149,8 @@ localizer.jump_inlier_ratio = 0.5
 localizer.jump_inlier_gain = 0.1
 localizer.point_to_line.max_nis = 9.0
 localizer.closure.point_to_line.max_nis = 9.0
+localizer.closure.relocalization.min_agreeing_alone = 4
+localizer.closure.relocalization.lead = 3.0
 """
 
 

@@ -186,20 +186,18 @@ def test_moving_points_are_left_out_of_the_match_and_of_the_occupied_cells(
 ) -> None:
     pipeline, matched_masks, map_masks = Pipeline(GRAPH), [], []
     assert pipeline.detector.grid is not None
-    match, update = pipeline.localizer.match, pipeline.detector.grid.update
+    match, add_scan = pipeline.localizer.match, pipeline.detector.grid.add_scan
 
     def spy_match(points: FloatArray, is_static: BoolArray, **rest: Any) -> object:
         matched_masks.append(is_static)
         return match(points, is_static, **rest)
 
-    def spy_update(
-        now: int, origin: FloatArray, ends: FloatArray, is_beam: BoolArray, is_hit: BoolArray, *others: Any
-    ) -> None:
-        map_masks.append((is_beam, is_hit))
-        update(now, origin, ends, is_beam, is_hit, *others)
+    def spy_add(*scan_and_points: Any) -> None:
+        map_masks.append(scan_and_points[-2:])
+        add_scan(*scan_and_points)
 
     monkeypatch.setattr(pipeline.localizer, "match", spy_match)
-    monkeypatch.setattr(pipeline.detector.grid, "update", spy_update)
+    monkeypatch.setattr(pipeline.detector.grid, "add_scan", spy_add)
     steps = [pipeline.step(scan) for scan in drive(40)]
     pipeline.close()
     for step, (is_beam, is_hit) in zip(steps, map_masks, strict=True):

@@ -36,8 +36,8 @@ class RelocalizationConfig(Checked):
     p_contrary_same, p_contrary_other : float
         Share of the squares of wall that the other map contradicts, in the same place and in one that looks alike; less
         where another place of the map is contradicted less.
-    min_log_ratio : float
-        Of the likelihoods: of the place against one that looks alike, and against the next best.
+    min_log_ratio, min_lead : float
+        Logarithm of the ratio of likelihoods: of the place against one that looks alike, and against the next best.
     n_weighed : int
         So many places are weighed, those of most local maps.
     """
@@ -48,7 +48,8 @@ class RelocalizationConfig(Checked):
     n_recent: Count = 12
     p_contrary_same: PositiveShare = 0.04
     p_contrary_other: PositiveShare = 0.12
-    min_log_ratio: Positive = 6.0
+    min_log_ratio: Positive = 3.0
+    min_lead: Positive = 6.0
     n_weighed: Count = 4
 
     def __post_init__(self) -> None:
@@ -182,7 +183,7 @@ class Relocalization:
             [config.p_contrary_other, *(evidence[k].share(config.p_contrary_other) for k in others)]
         )
         lead = ratios[best] - max([ratios[k] for k in others], default=-math.inf)
-        if p_other <= config.p_contrary_same or lead < config.min_log_ratio:
+        if p_other <= config.p_contrary_same or lead < config.min_lead:
             return f"{len(places)} places fit alike, log likelihood ratio {lead:.1f}"
         ratio = evidence[best].log_ratio(config.p_contrary_same, p_other)
         if places[best].n_agreeing < config.min_agreeing or ratio < config.min_log_ratio:
