@@ -113,6 +113,22 @@ def test_a_damaged_file_is_named(path: Path, name: str, content: str | None, par
         assert part in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["points.npz", "covariances.npz"])
+@pytest.mark.parametrize("change", [(b"PK\x03\x04", 6), (b"{'descr'", 1)])
+def test_arrays_that_no_decoder_takes_are_told_in_a_line(
+    path: Path, name: str, change: tuple[bytes, int]
+) -> None:
+    """One bit says that a member is encrypted; a header may end within a word: each decoder has errors of its own."""
+    with np.load(path / name) as file:
+        np.savez(path / name, **dict(file))  # not compressed
+    data, (mark, offset) = bytearray((path / name).read_bytes()), change
+    for mark_and_offset in ((mark, offset), (b"PK\x01\x02", 8)) if offset == 6 else ((mark, offset),):
+        data[data.index(mark_and_offset[0]) + mark_and_offset[1]] ^= 1
+    (path / name).write_bytes(data)
+    with pytest.raises(InputError, match=name):
+        read_run_folder(path)
+
+
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="none: no such run folder"):
         read_run_folder(tmp_path / "none")
