@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slammot_graph.saved_maps import closures_between_runs, edit_map, merge_maps
     from slammot_graph.saving import load_run
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "METHODS",
