@@ -161,7 +161,7 @@ def starts_cell(path: str | None, share: float, world: str, seed: int, first: in
 def _start(parts: Parts, first: int) -> dict[str, float]:
     way_m = seen_m = 0.0
     errors: list[tuple[float, float]] = []
-    found, step_ms = False, [0.0]
+    found, n_after, step_ms = False, 0, [0.0]
     _, away_at_start_m = parts.expected(first)
     with Pipeline(PipelineConfig(), MapStart(saved=parts.saved, localize=True)) as pipeline:
         for k, scan in enumerate(_renumbered(parts.scans[first:])):
@@ -170,9 +170,11 @@ def _start(parts: Parts, first: int) -> dict[str, float]:
             T_expected, away_m = parts.expected(first + k)
             found = found or step.health != "lost"
             if found:
-                offset = se2.between(T_expected, step.T_map_base)
-                errors.append((float(np.hypot(offset[0], offset[1])), abs(float(offset[2]))))
-                if len(errors) > N_AFTER:
+                n_after += 1
+                if step.health != "lost":  # it may drive on beyond the map, and says so
+                    offset = se2.between(T_expected, step.T_map_base)
+                    errors.append((float(np.hypot(offset[0], offset[1])), abs(float(offset[2]))))
+                if n_after > N_AFTER:
                     break
                 continue
             moved_m = np.hypot(*(parts.T_second[first + k] - parts.T_second[max(first + k - 1, first)])[:2])
