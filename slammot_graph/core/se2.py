@@ -179,16 +179,10 @@ def _compose(T_a_b: FloatArray, T_b_c: FloatArray, out: FloatArray) -> None:
 def _between(T_a_b: FloatArray, T_a_c: FloatArray, out: FloatArray) -> None:
     c = math.cos(T_a_b[2])
     s = math.sin(T_a_b[2])
-    T_b_a = (
-        -c * T_a_b[0] - s * T_a_b[1],
-        s * T_a_b[0] - c * T_a_b[1],
-        (-T_a_b[2] + math.pi) % (2.0 * math.pi) - math.pi,
-    )
-    c = math.cos(T_b_a[2])
-    s = math.sin(T_b_a[2])
-    out[0] = T_b_a[0] + c * T_a_c[0] - s * T_a_c[1]
-    out[1] = T_b_a[1] + s * T_a_c[0] + c * T_a_c[1]
-    out[2] = (T_b_a[2] + T_a_c[2] + math.pi) % (2.0 * math.pi) - math.pi
+    out[0] = -c * T_a_b[0] - s * T_a_b[1]  # the inverse of the first
+    out[1] = s * T_a_b[0] - c * T_a_b[1]
+    out[2] = (-T_a_b[2] + math.pi) % (2.0 * math.pi) - math.pi
+    _compose(out, T_a_c, out)
 
 
 @kernel

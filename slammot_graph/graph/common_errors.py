@@ -2,7 +2,7 @@
 
 A wheel that is 0.5% smaller than the calibration says errs by 0.5% of the way, not of its square root: over n equal
 steps the variance grows with n^2, where that of independent errors grows with n, as a pose graph takes its factors. So
-the parameters are "considered" (Schmidt 1966): estimated elsewhere, their errors carried through the weighted least
+the parameters are "considered" (Schmidt 1966): estimated elsewhere, their errors propagated through the weighted least
 squares, whose solution stays what it is.
 """
 

@@ -52,7 +52,7 @@ class BlindScans:
     A scan that is the same to the last bit is no measurement: real lasers have noise, and a scan of a place that the
     robot has left is an old one. A laser is covered once most of its beams have become shorter at once than any motion
     explains and nearly all end close by; until they reach farther, or the robot drives and what is close changes its
-    place as walls do: then it was carried into a small room. Each of several lasers is judged by itself.
+    place as walls do: then it was kidnapped into a small room. Each of several lasers is judged by itself.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Errors that the odometry's increments have in common, carried along with the robot; see `graph.common_errors`."""
+"""Errors that the odometry's increments have in common, propagated with the robot; see `graph.common_errors`."""
 
 import numpy as np
 

@@ -15,8 +15,8 @@ from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, NotNegative, Positive, Share
 from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.localization import _company_kernels
 from slammot_graph.mapping.local_map import LocalMap
+from slammot_graph.registration import _company_kernels
 
 
 @dataclass(frozen=True, kw_only=True)

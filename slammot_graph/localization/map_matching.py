@@ -14,7 +14,7 @@ from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
-from slammot_graph.registration.base import Match, MatchPrior
+from slammot_graph.registration.base import Match, Matcher, MatchPrior
 from slammot_graph.registration.factory import make_matcher
 
 N_SEARCHED = 60
@@ -179,7 +179,8 @@ class MapMatching:
             if elsewhere is None:
                 needed = self.config.adrift_share * self._usual_agreement
                 if self.is_adrift and self.agreement(matched[0]) < needed:
-                    return self._match_from(points_base, is_static, start, least_agreement=needed), start
+                    strict = self._matcher_from(needed)
+                    return self._match_from(points_base, is_static, start, matcher=strict), start
                 return matched, start
             self._elsewhere, self._static_share = elsewhere, 1.0
             return self._match_from(points_base, is_valid, elsewhere), elsewhere
@@ -226,19 +227,20 @@ class MapMatching:
         is_used: BoolArray,
         start: MotionState,
         kernel_factor: float = 1.0,
-        least_agreement: float | None = None,
+        matcher: Matcher[LocalMap] | None = None,
     ) -> Match:
-        """Match from a start; with a least agreement of its own, which 0 lets nothing fall short of."""
+        """Match from a start, by another matcher than the usual one if there is."""
         prior = MatchPrior(
             T_a_base=start.T_local_base, cov=start.cov_prior, cov_independent=start.cov_independent
         )
-        matcher = self.matcher
-        if least_agreement is not None:
-            usual = self.config.point_to_line
-            matcher = make_matcher(replace(usual, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
-        return matcher.match(
+        return (matcher or self.matcher).match(
             self.local_map, points_base, is_used, self.laser_base, prior, kernel_factor=kernel_factor
         )
+
+    def _matcher_from(self, least_agreement: float) -> Matcher[LocalMap]:
+        """Give a matcher that fails where a smaller share of the points agrees; with 0 none ever does."""
+        usual = self.config.point_to_line
+        return make_matcher(replace(usual, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
 
     def _tail_scale(self, match: MatchResult, state: MotionState) -> float:
         """How far the covariance of the latest motion must be stretched for the match to be likely."""
@@ -295,13 +297,14 @@ class MapMatching:
         some = np.zeros_like(is_valid)
         k = np.flatnonzero(is_valid)
         some[k[:: max(len(k) // N_SEARCHED, 1)]] = True
+        matcher = self._matcher_from(0.0)
         best, T_best = 0.0, start.T_local_base
         for i, j in shifts:
             T = se2.compose(start.T_local_base, np.array([i * step_m, j * step_m, 0.0]))
             there = start._replace(T_local_base=T)
             for T_start in (T, *self._turned_starts(there, 0.0, math.pi)):
                 at = there._replace(T_local_base=T_start)
-                match, T_found, _ = self._match_from(points_base, some, at, least_agreement=0.0)
+                match, T_found, _ = self._match_from(points_base, some, at, matcher=matcher)
                 if match.inlier_ratio > best:
                     best, T_best = match.inlier_ratio, T_found
         return T_best

@@ -67,7 +67,7 @@ def test_a_laser_is_covered_beside_walls_too(distance_m: float, share: float) ->
     assert judged(scans) == [None] * 10 + ["covered"] * 20 + [None] * 10
 
 
-def test_a_closet_that_the_robot_was_carried_into_is_known_by_driving_in_it() -> None:
+def test_a_closet_that_the_robot_was_kidnapped_into_is_known_by_driving_in_it() -> None:
     scans = [scan_at(k, 0.0) for k in range(10)]
     for scan in scans:
         scan.ranges[:] = 4.0

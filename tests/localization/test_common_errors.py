@@ -14,7 +14,7 @@ N_PER_MAP = 7
 
 
 def driven(n: int, match_information: FloatArray) -> tuple[CommonErrors, FloatArray, int]:
-    """A drive along x: errors carried along, and the covariances (n, 3, 3) by the whole graph; the last anchor."""
+    """A drive along x: errors propagated, and the covariances (n, 3, 3) by the whole graph; the last anchor."""
     errors = CommonErrors()
     errors.start_local_map(0, 0, np.zeros((3, 3)))
     nodes = np.array([[0.3 * k, 0.0, 0.0] for k in range(n)])

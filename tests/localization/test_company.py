@@ -7,11 +7,12 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.localization import ScanToMapConfig, _company_kernels
+from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.company import CompanyConfig
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
 from slammot_graph.odometry import MotionState
+from slammot_graph.registration import _company_kernels
 from tests.rooms import CORRIDOR, LASER, box, is_person, take_scan
 
 COMPANY = np.array([[1.2, 0.4, 0.25], [-0.3, -0.7, 0.25], [1.1, -0.45, 0.25]])

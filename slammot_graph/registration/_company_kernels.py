@@ -6,27 +6,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-
-
-@kernel
-def partner(
-    x: float,
-    y: float,
-    map_points: FloatArray,
-    nearest: "np.ndarray",
-    inv_cell: float,
-    first: int,
-    reach2: float,
-) -> int:
-    """Row of the local map's point nearest to x, y [m], or -1; the kernel of that name in `registration`, once more."""
-    mask = nearest.shape[0] - 1
-    number = nearest[math.floor(y * inv_cell) & mask, math.floor(x * inv_cell) & mask]
-    if number < first:
-        return -1
-    m = number & (map_points.shape[0] - 1)
-    dx = x - map_points[m, 0]
-    dy = y - map_points[m, 1]
-    return -1 if dx * dx + dy * dy > reach2 else m
+from slammot_graph.registration._pair_kernels import partner
 
 
 @kernel
