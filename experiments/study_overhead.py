@@ -1,21 +1,24 @@
 """What a study costs beside its cells: 2,000 small cells on two processes and on a Dask cluster, and planning 10^5."""
 
+import os
 import re
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from experiments.common import Options, Scores, main, say, version_of
+from experiments.common import ROOT, Options, Scores, main, say, version_of
 from experiments.tables import Table, number, write_tables
+from slammot_graph.core.errors import InputError
 from slammot_graph.methods import METHODS
 from slammot_graph.study.cells import Cell
 from slammot_graph.study.dask_workers import DaskWorkers
 from slammot_graph.study.plan import plan
-from slammot_graph.study.processes import local_workers
+from slammot_graph.study.processes import THREAD_VARIABLES, local_workers
 from slammot_graph.study.runner import Workers
 from slammot_graph.study.store import CellStore
 from slammot_graph.study.study_file import ScenarioSpec, Study
@@ -38,10 +41,8 @@ def experiment(options: Options) -> None:
     """Overhead of the loop with small cells, memory of the scheduler, time to plan."""
     n_cells = QUICK_CELLS if options.quick else N_CELLS
     rows = [["two processes", *_overhead(local_workers(N_WORKERS), n_cells, None)]]
-    with _cluster() as (address, scheduler):
+    with cluster() as (address, scheduler):
         workers = DaskWorkers(address)
-        while workers.n < N_WORKERS:
-            time.sleep(2.1)
         rows.append(["Dask, two workers", *_overhead(workers, n_cells, scheduler)])
     n_planned = QUICK_PLANNED if options.quick else N_PLANNED
     start = time.perf_counter()
@@ -109,26 +110,45 @@ class _Kept:
 
 
 @contextmanager
-def _cluster() -> Iterator[tuple[str, int]]:
-    """A scheduler and two workers."""
+def cluster() -> Iterator[tuple[str, int]]:
+    """A scheduler and its workers, one thread each: the scheduler's address and process."""
     code = "from dask.__main__ import main; main()"
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    environment = {**dict.fromkeys(THREAD_VARIABLES, "1"), **os.environ, "PYTHONPATH": path}
 
     def start(*words: str) -> "subprocess.Popen[bytes]":
         return subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-c", code, *words, "--no-dashboard"], stderr=subprocess.DEVNULL
+            [sys.executable, "-W", "ignore", "-c", code, *words, "--no-dashboard"],
+            env=environment,
+            stderr=subprocess.DEVNULL,
         )
 
-    address = "tcp://127.0.0.1:8799"
-    processes = [start("scheduler", "--host", "127.0.0.1", "--port", "8799")]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = f"{free.getsockname()[1]}"
+    address = f"tcp://127.0.0.1:{port}"
+    processes = [start("scheduler", "--host", "127.0.0.1", "--port", port)]
     try:
-        time.sleep(3.0)
         processes += [start("worker", address, "--nthreads", "1", "--no-nanny") for _ in range(N_WORKERS)]
-        time.sleep(3.0)
+        with closing(_connected(address)) as workers:
+            while workers.n < N_WORKERS:
+                time.sleep(2.1)
         yield address, processes[0].pid
     finally:
         for process in reversed(processes):
             process.terminate()
             process.wait()
+
+
+def _connected(address: str) -> DaskWorkers:
+    """Wait for a scheduler that is just starting."""
+    end = time.monotonic() + 60.0
+    while True:
+        try:
+            return DaskWorkers(address)
+        except InputError:
+            if time.monotonic() > end:
+                raise
 
 
 def _peak_mb(process: str) -> float:
