@@ -168,7 +168,7 @@ def _of_study(parts: Sequence[Part], scores: Mapping[str, Scores]) -> Table:
         seconds.setdefault(part.way, []).append(wall)
         with (part.folder / "times.csv").open(encoding="utf-8", newline="") as file:
             times = [float(row["seconds"]) for row in csv.DictReader(file)]
-        same = "-" if part is parts[0] else "yes" if _is_same(part, parts[0].folder) else "NO"
+        same = "-" if part is parts[0] else "yes" if is_same(part, parts[0].folder) else "NO"
         rows.append(
             [part.name, f"{part.n_seeds}", f"{len(times)}", number(wall, 1), number(sum(times), 1), same]
         )
@@ -180,7 +180,7 @@ def _of_study(parts: Sequence[Part], scores: Mapping[str, Scores]) -> Table:
     )
 
 
-def _is_same(part: Part, whole: Path) -> bool:
+def is_same(part: Part, whole: Path) -> bool:
     """Whether results are those of the finished cells of another folder, byte by byte."""
     rows = plan(read_study(part.study), part.study.parent)
     with TemporaryDirectory() as temporary:

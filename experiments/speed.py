@@ -27,7 +27,6 @@ import tyro
 from experiments.common import ROOT, Options, say
 from experiments.tables import Table, number, write_tables
 from slammot_graph import open_log
-from slammot_graph.baselines.kiss_icp import KissIcpConfig
 from slammot_graph.core.errors import InputError, SlammotError
 from slammot_graph.core.scan import Scan
 from slammot_graph.detection import _cluster_kernels, _kernels
@@ -106,7 +105,7 @@ def measure_steps(source: str, n_scans: int, methods: list[str]) -> dict[str, An
     scans = list(islice(_scans(source), n_scans))
     for method in methods:
         _warm_up(method, scans)
-    pipelines = {method: _pipeline(method) for method in methods}
+    pipelines = {method: make_pipeline(get_method(method).config) for method in methods}
     took: dict[str, list[Mapping[str, float]]] = {method: [] for method in methods}
     order = list(methods)
     for scan in scans:
@@ -228,14 +227,8 @@ def _scans(source: str) -> Iterator[Scan]:
     return iter(open_log(Path(source)))
 
 
-def _pipeline(method: str) -> Any:
-    """A method on one thread: kiss-icp would search on all cores, which a busy machine has and has not."""
-    config = get_method(method).config
-    return make_pipeline(replace(config, n_threads=1) if isinstance(config, KissIcpConfig) else config)
-
-
 def _warm_up(method: str, scans: list[Scan]) -> None:
-    pipeline = _pipeline(method)
+    pipeline = make_pipeline(get_method(method).config)
     for scan in scans[: 2 * N_WARM]:
         pipeline.step(replace(scan))
     pipeline.close()

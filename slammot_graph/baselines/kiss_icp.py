@@ -36,7 +36,8 @@ class KissIcpConfig:
         Sub-sampling of the scan for the map and for the match; None: as kiss-icp does it, by half a voxel, and
         of what that leaves by one and a half.
     n_threads : int
-        Of its correspondence search; 0: one a core. The first pipeline of a process sets it for all that follow.
+        Of its registration; 0: one a core, which sum in an order of chance, so that two runs differ in the last
+        digits. The first pipeline of a process sets it for all that follow.
     odometry_noise : OdometryNoise
         Stands in for the covariance, which kiss-icp does not have.
     grid : GridConfig
@@ -50,7 +51,7 @@ class KissIcpConfig:
     fixed_threshold_m: float | None = 0.1
     map_spacing_m: float | None = 0.05
     match_spacing_m: float | None = 0.1
-    n_threads: int = 0
+    n_threads: int = 1
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
     grid: GridConfig = field(default_factory=GridConfig)
 

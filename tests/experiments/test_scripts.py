@@ -1,6 +1,7 @@
 """The experiments that are sweeps of cells, in quick mode: tables and figures come out."""
 
 import importlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +23,11 @@ from experiments import (
     walking_along,
 )
 from slammot_graph.methods import METHODS
+from slammot_graph.study.cells import Outcome
+from slammot_graph.study.plan import plan
+from slammot_graph.study.results import write_results
+from slammot_graph.study.store import CellStore
+from slammot_graph.study.study_file import read_study
 
 
 def quick(name: str, output: Path, methods: Sequence[str], *more: str) -> str:
@@ -57,11 +63,37 @@ def assert_drawn(path: Path) -> None:
     assert np.mean(np.ptp(pixels, axis=2) > 0.2) > 0.001
 
 
+@pytest.mark.slow
 def test_ablation(tmp_path: Path) -> None:
+    """Killed in the middle and gone on, by Dask, by one worker and by two: the same results."""
+    pytest.importorskip("distributed")
     text = quick("ablation", tmp_path, tuple(METHODS), "--seeds", "1")
-    rows = [line.split(" | ")[0].strip("| ") for line in text.splitlines()]
-    assert [rows.count(method) for method in METHODS] == [2] * len(METHODS)  # one for each scenario
-    assert {"one-walker, ATE [m]", "two-walkers, ghost cells/m^2"} <= set(rows)
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines()]
+    assert [row[-1] for row in rows if row[0].startswith(("Dask", "turn"))] == ["yes"] * 3
+    assert [[row[0] for row in rows].count(method) for method in METHODS] == [1] * len(METHODS)
+    (n_kept,) = re.findall(r"with (\d+) cells, gone on", " ".join(text.split()))
+    assert len(METHODS) // 2 <= int(n_kept) < len(METHODS)
+
+
+def test_a_result_that_differs_is_told(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text('methods = ["graph", "odometry"]\n[[scenario]]\nname = "one-walker"\n', encoding="utf-8")
+    rows = plan(read_study(study), tmp_path)
+    whole, folder = tmp_path / "whole", tmp_path / "part"
+    store = CellStore(whole / "cells")
+    with store.writing():
+        for k, row in enumerate(rows):
+            store.write(Outcome(cell=row.cell, scores={"ate_m": 0.1 * k}))
+    part = ablation.Part(name="turn 1", way="1", n_seeds=1, study=study, folder=folder)
+    for error, is_same in ((0.0, True), (1e-17, False)):
+        folder.mkdir(exist_ok=True)
+        scores = [{"ate_m": 0.1 * k + error} for k in range(2)]
+        records = {
+            row.cell.digest: {"scores": one, "seconds": 1.0, "host": ""}
+            for row, one in zip(rows, scores, strict=True)
+        }
+        write_results(folder, rows, records, {}, {})
+        assert ablation.is_same(part, whole) == is_same
 
 
 @pytest.mark.real
@@ -128,7 +160,7 @@ def test_tables_of_recorded_logs(
     assert "aces:" not in text
 
 
-@pytest.mark.parametrize("script", [ablation, noise_sweep, paper_claim])
+@pytest.mark.parametrize("script", [noise_sweep, paper_claim])
 def test_full_grids_are_made_of_cells_of_their_own(
     script: object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -98,8 +98,11 @@ def test_studies_of_the_package_can_be_planned(path: Path) -> None:
     assert len({row.cell.key for row in rows}) == len(rows)
 
 
-def test_the_ablation_has_every_method() -> None:
-    assert set(read_study(Path("ablation")).methods) == set(METHODS)
+def test_the_ablation_has_every_method_on_every_scenario_20_times() -> None:
+    study = read_study(Path("ablation"))
+    assert set(study.methods) == set(METHODS)
+    rows = plan(study, Path())
+    assert len({row.cell.digest for row in rows}) == len(rows) == 20 * 8 * len(METHODS)
 
 
 def test_the_product_of_all(tmp_path: Path) -> None:
