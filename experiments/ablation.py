@@ -71,7 +71,7 @@ def experiment(options: Options) -> None:
         Part(name=name, way=way, n_seeds=n, study=_study(folder, n, options), folder=folder / name)
         for name, way, n in (ways[:4] if options.quick else ways)
     ]
-    scores = {}
+    scores: dict[str, Scores] = {}
     for part in parts:  # one after the other: what is timed has the machine for itself
         cell = {"study": str(part.study), "output": str(part.folder), "way": part.way}
         scores |= run_cells("ablation", computed, {part.name: cell}, options)

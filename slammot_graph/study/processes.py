@@ -1,10 +1,9 @@
 """Workers on this machine: the processes of loky, joblib's pool, or this one process itself."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from typing import Any
 
 from slammot_graph.study.cells import Outcome, Task, run_task
@@ -19,6 +18,8 @@ THREAD_VARIABLES = (
     "TBB_NUM_THREADS",
 )
 """Each process gets one thread: several processes that each take all cores are slower than one."""
+MOST_GROWTH_BYTES = "4e9"
+"""A process is only taken for leaking, and started anew, if it grew by so much: packages and a log alone are 0.5 GB."""
 
 
 def local_workers(jobs: int) -> "Here | Processes":
@@ -97,19 +98,7 @@ class Processes:
     def _made(self) -> Any:
         from loky import ProcessPoolExecutor
 
-        with _one_thread_each():
-            pool = ProcessPoolExecutor(max_workers=self.n)
-            pool.submit(os.getpid).result()  # the processes start here, with this environment
-        return pool
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Set the variables that count threads to 1, where they are not set already."""
-    added = [name for name in THREAD_VARIABLES if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, "1"))
-    try:
-        yield
-    finally:
-        for name in added:
-            del os.environ[name]
+        own = {**dict.fromkeys(THREAD_VARIABLES, "1"), "LOKY_MAX_MEMORY_LEAK_SIZE": MOST_GROWTH_BYTES}
+        return ProcessPoolExecutor(
+            max_workers=self.n, env={name: value for name, value in own.items() if name not in os.environ}
+        )

@@ -157,6 +157,16 @@ def test_processes_that_are_killed_lose_no_cell(tmp_path: Path) -> None:
     assert "its process died" in outcomes["die 200"].error
 
 
+def test_processes_keep_what_they_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packages and logs of a few hundred MB are no leak: a process that starts anew for them loads them again."""
+    for name in ("OMP_NUM_THREADS", "LOKY_MAX_MEMORY_LEAK_SIZE"):
+        monkeypatch.delenv(name, raising=False)
+    cells = [cell("grow", x=float(k)) for k in range(12)]
+    scores = [outcome.scores or {} for outcome in compute(cells, Processes(2))]
+    assert len({one["pid"] for one in scores}) <= 2
+    assert {one["n_threads"] for one in scores} == {"1"}
+
+
 def test_a_changed_cell_is_the_only_one_computed_again(tmp_path: Path) -> None:
     store, progress = CellStore(tmp_path / "cells"), Progress()
     cells = numbers(5, str(tmp_path))

@@ -6,10 +6,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from slammot_graph.core.types import FloatArray
 from slammot_graph.study.cells import Cell
 from slammot_graph.study.data_files import DataFile
 
 FACTOR = 2.0
+KEPT: list[FloatArray] = []
 
 
 def double(x: float, folder: str, seconds: float = 0.0) -> dict[str, Any]:
@@ -30,6 +34,13 @@ def die(x: float, folder: str, times: int) -> dict[str, Any]:
         (marks / f"died-{x:g}-{n}").touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return {"double": 2.0 * x}
+
+
+def grow(x: float) -> dict[str, Any]:
+    """Keep 100 MB for good; tell the process, and the number of threads that libraries take."""
+    KEPT.append(np.ones(12_500_000))
+    time.sleep(0.3)
+    return {"pid": os.getpid(), "n_threads": os.environ.get("OMP_NUM_THREADS"), "x": x}
 
 
 def content(log: str) -> dict[str, Any]:
