@@ -64,6 +64,7 @@ def assert_drawn(path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of dask.distributed, in threads of its own
 def test_ablation(tmp_path: Path) -> None:
     """Killed in the middle and gone on, by Dask, by one worker and by two: the same results."""
     pytest.importorskip("distributed")
