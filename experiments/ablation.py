@@ -17,6 +17,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -58,6 +59,9 @@ class Part:
 
 def experiment(options: Options) -> None:
     """Every method on every scenario as one study: killed and gone on, by Dask, by one worker and by two."""
+    for package in ("distributed", *(() if options.quick else ("jupedsim",))):
+        if find_spec(package) is None:  # better now than after the first half an hour
+            raise InputError(f"ablation: no package {package}; pip install -e '.[dev]'")
     folder = options.folder("results") / "ablation"
     if options.fresh:
         shutil.rmtree(folder, ignore_errors=True)
