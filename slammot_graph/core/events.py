@@ -20,6 +20,8 @@ Severity = Literal["info", "warning", "error"]
 
 FOUND_AGAIN = "found again"
 """So the reason of the closure begins by which a lost robot's place became known."""
+PREDICTED_CAUSES = ("blind drive", "changing view")
+"""Causes of being lost in which the robot goes on where its prediction says, and is not looked for elsewhere."""
 
 SEVERITIES: Mapping[EventKind, Severity] = {
     "match failed": "warning",
@@ -47,6 +49,11 @@ def _lost(data: Mapping[str, Any]) -> str:
     if data["cause"] == "blind drive":
         return (
             f"lost: drove for {n} scans with nothing in sight, a new local map begins where the odometry says"
+        )
+    if data["cause"] == "changing view":
+        return (
+            f"lost: {n} matches failed in a row, yet what agrees lies where the prediction says: the view changes from"
+            " scan to scan, as on slopes or before hedges; a new local map begins there"
         )
     if data["cause"] == "saved map":
         return f"lost: for {n} scans the saved map has not shown what the robot sees, it is looked for again"
@@ -107,11 +114,10 @@ class Event:
         Index of the scan at which it happened.
     data : mapping
         What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped", "blind
-        drive", "gap", "failed matches" or "saved map") and `n_scans` of a lost robot; `cause` ("repeated" or "covered")
-        of a blind laser;
-        `reason` of a contradiction; `after` ("contradiction" or "lost"), `n_scans` since then and `n_consistent` of a
-        recovery; `factor`, `from_node`, `to_node` and `reason` of what the graph could not take in; `target_node`,
-        `source_node` and `reason` of a closure.
+        drive", "gap", "failed matches", "changing view" or "saved map") and `n_scans` of a lost robot; `cause`
+        ("repeated" or "covered") of a blind laser; `reason` of a contradiction; `after` ("contradiction" or "lost"),
+        `n_scans` since then and `n_consistent` of a recovery; `factor`, `from_node`, `to_node` and `reason` of what the
+        graph could not take in; `target_node`, `source_node` and `reason` of a closure.
     """
 
     kind: EventKind

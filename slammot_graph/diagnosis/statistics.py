@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from slammot_graph.core.events import FOUND_AGAIN
+from slammot_graph.core.events import FOUND_AGAIN, PREDICTED_CAUSES
 from slammot_graph.core.match_result import MatchStatus
 from slammot_graph.core.results import Health, StepResult
 from slammot_graph.core.spool import Spool
@@ -67,7 +67,7 @@ class RunStatistics:
         for event in step.events:
             if event.kind == "lost":
                 self.n_lost += 1
-                self.n_apart += event.data["cause"] != "blind drive"
+                self.n_apart += event.data["cause"] not in PREDICTED_CAUSES
             if event.kind == "closure accepted" and str(event.data["reason"]).startswith(FOUND_AGAIN):
                 self.n_apart -= self.n_apart > 0
             if event.kind == "laser blind":

@@ -204,7 +204,7 @@ class InSavedMap(ScanToMap):
     def _follow(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """Keep the scan's pose; renew the local map where the robot has moved on."""
         has_points = bool(np.count_nonzero(is_static) >= self.config.point_to_line.min_pairs)
-        events = self._look_for_loss(scan, has_points)
+        events, _ = self._look_for_loss(scan, points_base, is_static, has_points)
         unsure_m, unsure_scans = self._unsure_for(scan.index)
         if not events and unsure_m > MOST_UNSURE_M:
             events.append(make_event("lost", scan.index, cause="saved map", n_scans=unsure_scans))

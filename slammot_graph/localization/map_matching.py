@@ -20,7 +20,7 @@ from slammot_graph.registration.factory import make_matcher
 N_SEARCHED = 60
 """Returns that a search of many starts looks at; the best start is then matched with all."""
 
-_HELD = {"cov_prior": 1e-10 * np.eye(3), "cov_independent": 1e-10 * np.eye(3)}
+_HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
 
 
@@ -147,6 +147,15 @@ class MapMatching:
         """Share of the scan's returns that agree with a match; those called moving do not."""
         return self._static_share * match.inlier_ratio
 
+    def agreement_at(self, points_base: FloatArray, is_used: BoolArray, T_local_base: FloatArray) -> float:
+        """Share of the points (n, 2) of the scan that agrees with the local map where it is put, at a pose (3,)."""
+        held = MatchPrior(T_a_base=T_local_base, cov=_HELD_COV, cov_independent=_HELD_COV)
+        return (
+            self._matcher_from(0.0)
+            .match(self.local_map, points_base, is_used, self.laser_base, held)
+            .result.inlier_ratio
+        )
+
     @property
     def is_elsewhere(self) -> bool:
         """Whether the latest scan was matched from another start than the prediction."""
@@ -211,8 +220,8 @@ class MapMatching:
         without = self._match_from(points_base, rest, start)
         if not company.is_likely(match, without.result, self._static_share):
             return is_static, matched
-        there = self._match_from(points_base, rest, start._replace(T_local_base=matched.T_a_base, **_HELD))
-        if there.result.inlier_ratio > without.result.inlier_ratio + config.agreement_margin:
+        there = self.agreement_at(points_base, rest, matched.T_a_base)
+        if there > without.result.inlier_ratio + config.agreement_margin:
             return is_static, matched
         if company.is_crowd(self._static_share):
             company.walks_along = is_suspect

@@ -1,6 +1,7 @@
 """Our localization: scans matched onto the local map, keyframes joined in the pose graph."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,9 +16,10 @@ from slammot_graph.core.spool import Spool
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.graph import PoseGraph
 from slammot_graph.localization.base import FIRST_COV, CommitResult, Estimate, FinalEstimate
+from slammot_graph.localization.chance_agreement import stands_out
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.graph_insertion import GraphInsertion
-from slammot_graph.localization.lost_detector import LostDetector
+from slammot_graph.localization.lost_detector import Loss, LostDetector
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.localization.scan_poses import ScanPoses
 from slammot_graph.localization.sweep_estimate import SweepEnd, SweepEstimate
@@ -136,15 +138,13 @@ class ScanToMap:
         """See `Localizer`."""
         propagation, insertion = self.propagation, self.insertion
         has_points = bool(np.count_nonzero(is_static) >= self.config.point_to_line.min_pairs)
-        events = self._look_for_loss(scan, has_points)
-        is_lost = bool(events) and any(event.kind == "lost" for event in events)
-        if is_lost:
+        events, loss = self._look_for_loss(scan, points_base, is_static, has_points)
+        is_lost = loss is not None
+        if loss is not None:
             self._sweep_end = None
-            # the wheels tell where a robot has driven that saw nothing, and how well
-            is_known = any(event.data.get("cause") == "blind drive" for event in events)
             lost_cov, lost_m = self.config.lost_cov, self.config.lost_distance_m
-            propagation.lose_track(*((0.0 * lost_cov, 0.0) if is_known else (lost_cov, lost_m)))
-            insertion.start_component(propagation.path_m, is_known=is_known)
+            propagation.lose_track(*((0.0 * lost_cov, 0.0) if loss.is_known else (lost_cov, lost_m)))
+            insertion.start_component(propagation.path_m, is_known=loss.is_known)
         state, T_odom_base = propagation.state, propagation.T_odom_base
         node, closures = None, tuple[ClosureAttempt, ...]()
         wants = self.local_map.wants(state.T_local_base, scan.laser.number)
@@ -274,11 +274,16 @@ class ScanToMap:
             is_elsewhere=self.matching.is_elsewhere,
         )
 
-    def _look_for_loss(self, scan: Scan, has_points: bool) -> list[Event]:
+    def _look_for_loss(
+        self, scan: Scan, points_base: FloatArray, is_static: BoolArray, has_points: bool
+    ) -> tuple[list[Event], Loss | None]:
         """Tell of a match that failed, and of a robot that is lost."""
         events = list[Event]()
+        is_predicted = False
         if self._match is not None and self._match.status == "failed":
             events.append(make_event("match failed", scan.index, reason=self._match.reason))
+            agreement_at = partial(self.matching.agreement_at, points_base, is_static)
+            is_predicted = has_points and stands_out(agreement_at, self.propagation.state.T_local_base)
         loss = self.lost.update(
             self._match,
             self.propagation.T_odom_base,
@@ -286,10 +291,11 @@ class ScanToMap:
             has_local_map=bool(self.local_map.keyframes),
             has_odometry=scan.T_odom_base is not None,
             is_adrift=self.matching.is_adrift,
+            stands_out=is_predicted,
         )
         if loss is not None:
             events.append(make_event("lost", scan.index, cause=loss.cause, n_scans=loss.n_scans))
-        return events
+        return events, loss
 
     def _add_keyframe(
         self, node: int | None, scan: Scan, points_base: FloatArray, is_static: BoolArray

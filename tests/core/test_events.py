@@ -31,6 +31,12 @@ CLOSURE: dict[str, str | int | float] = {"target_node": 12, "source_node": 340, 
             "lost: drove for 8 scans with nothing in sight, a new local map begins where the odometry says",
         ),
         (
+            make_event("lost", 3, cause="changing view", n_scans=5),
+            "error",
+            "lost: 5 matches failed in a row, yet what agrees lies where the prediction says: the view changes from"
+            " scan to scan, as on slopes or before hedges; a new local map begins there",
+        ),
+        (
             make_event("laser blind", 3, cause="covered"),
             "warning",
             "laser blind: something covers the laser; the odometry alone tells of the motion",

@@ -106,3 +106,31 @@ def test_a_match_that_fails_where_nothing_was_known_of_the_motion_is_a_loss_at_o
     words = {"has_points": True, "has_local_map": True, "is_adrift": True}
     assert detector.update(MATCH, HERE, **words) is None
     assert detector.update(FAILED, HERE, **words) == Loss(cause="gap", n_scans=1)
+
+
+@pytest.mark.parametrize(
+    ("step_m", "standing_out", "cause"),
+    [
+        (0.1, (True, True, True), "changing view"),
+        (0.1, (True, False, True), "changing view"),
+        (0.1, (True, False, False), "failed matches"),
+        (0.0, (True, True, True), "failed matches"),
+    ],
+)
+def test_where_the_prediction_stands_out_on_a_drive_only_the_view_has_changed(
+    detector: LostDetector, step_m: float, standing_out: tuple[bool, ...], cause: str
+) -> None:
+    update(detector, MATCH)
+    losses = [
+        detector.update(
+            FAILED,
+            HERE + np.array([step_m * (k + 1), 0.0, 0.0]),
+            has_points=True,
+            has_local_map=True,
+            stands_out=stands,
+        )
+        for k, stands in enumerate(standing_out)
+    ]
+    assert losses[:-1] == [None, None]
+    assert losses[-1] is not None
+    assert (losses[-1].cause, losses[-1].is_known) == (cause, cause == "changing view")
