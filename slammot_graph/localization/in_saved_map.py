@@ -102,14 +102,13 @@ class KeyframesOfMap:
 class _Since:
     """Where the latest keyframe was taken and the local map renewed, and of which saved keyframes alone it is made.
 
-    The nearest of these tells how well the map knows where it is.
+    By the nearest of these `cov_local` (3, 3) tells how well the map knows where the local frame is (its body frame).
     """
 
     T_local_keyframe: FloatArray = field(default_factory=lambda: se2.IDENTITY)
     T_local_renewed: FloatArray = field(default_factory=lambda: se2.IDENTITY)
     in_local_map: list[int] = field(default_factory=list)
-    T_local_nearest: FloatArray = field(default_factory=lambda: se2.IDENTITY)
-    cov_nearest: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    cov_local: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class InSavedMap(ScanToMap):
@@ -176,14 +175,10 @@ class InSavedMap(ScanToMap):
     def _estimate(self) -> Estimate:
         if not self.is_found:
             return super()._estimate()
-        state, since = self.propagation.state, self._since
-        T_nearest_base = se2.between(since.T_local_nearest, state.T_local_base)
-        return Estimate(
-            T_local_base=state.T_local_base,
-            cov_relative=state.cov_relative,
-            cov_absolute=se2.compound_covariance(since.cov_nearest, T_nearest_base, state.cov_relative),
-            T_anchor_base=state.T_local_base,
-        )
+        state = self.propagation.state
+        T_local_base, cov = state.T_local_base, state.cov_relative
+        cov_map = se2.compound_covariance(self._since.cov_local, T_local_base, cov)
+        return Estimate(T_local_base, cov, cov_map, T_local_base)
 
     def _enter(self, scan: int) -> None:
         """Go over to the saved keyframes."""
@@ -265,10 +260,9 @@ class InSavedMap(ScanToMap):
         T_local_base = self._since.T_local_keyframe = self.propagation.state.T_local_base
         self._since.T_local_renewed = T_local_base
         numbers = self._known.around(se2.compose(self.T_map_local, T_local_base))
-        self._since.cov_nearest = self._known.cov_map[numbers[0]]
-        self._since.T_local_nearest = se2.compose(
-            se2.inverse(self.T_map_local), self._known.T_map_keyframes[numbers[0]]
-        )
+        T_nearest_local = se2.between(self._known.T_map_keyframes[numbers[0]], self.T_map_local)
+        cov_nearest = self._known.cov_map[numbers[0]]
+        self._since.cov_local = se2.compound_covariance(cov_nearest, T_nearest_local, np.zeros((3, 3)))
         near = [one for one in self._own if se2.distance(one[0].T_local_base, T_local_base)[0] < OWN_REACH_M]
         self._own = deque(near, maxlen=N_OWN)
         new = [k for k in numbers if k not in self._since.in_local_map]

@@ -29,7 +29,8 @@ class PlacedParts:
     def append(self, T_local_base: FloatArray, cov_map: FloatArray) -> None:
         """Add the next scan's pose (3,) in the local frame, and its covariance (3, 3) in the map (body frame)."""
         self._poses.extend(T_local_base.tolist())
-        self._covs.extend(cov_map[UPPER].tolist())
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = cov_map.tolist()
+        self._covs.extend((xx, xy, xt, yy, yt, tt))
 
     def begin(self) -> None:
         """Begin a part with the next scan."""
