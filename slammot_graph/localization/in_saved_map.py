@@ -10,7 +10,8 @@ from slammot_graph.core.events import make_event
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.localization._keyframe_kernels import pick_unlike
 from slammot_graph.localization.base import CommitResult, Estimate, FinalEstimate
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.graph_insertion import NOT_OF_THIS_RUN, GraphInsertion
@@ -32,9 +33,6 @@ TURN_M_PER_RAD = 1.5
 
 MIN_AGREEMENT = 0.7
 """Where fewer of the points agree with the saved map, the robot's own keyframes are added."""
-
-REACH_M = 6.0
-"""Most often enough keyframes are within this, turns counted."""
 
 RENEWED_AFTER = 2.0
 """So many times the motion between two keyframes, and the local map is made anew: its keyframes reach some metres."""
@@ -79,23 +77,10 @@ class KeyframesOfMap:
         """Numbers of the n keyframes that best show what is seen from a pose (3,), the nearest first."""
         offset = se2.between(T_map_base[None, :], self.T_map_keyframes)
         far = np.hypot(offset[:, 0], offset[:, 1]) + TURN_M_PER_RAD * np.abs(offset[:, 2])
-        chosen: list[int] = []
-        for reach_m in (REACH_M, np.inf):
-            chosen = self._unlike(np.argsort(far, kind="stable")[: np.count_nonzero(far < reach_m)], n)
-            if len(chosen) == n:
-                break
-        return chosen
-
-    def _unlike(self, left: IntArray, n: int) -> list[int]:
-        """The first n of some keyframes of which none is like one before."""
-        chosen: list[int] = []
-        while len(left) and len(chosen) < n:
-            chosen.append(int(left[0]))
-            x, y, theta = (self.T_map_keyframes[left] - self.T_map_keyframes[left[0]]).T
-            is_like = (x**2 + y**2 < APART_M**2) & (np.abs(se2.wrap_angle(theta)) < APART_RAD)
-            is_like[0] = True
-            left = left[~is_like]
-        return chosen
+        picked = np.empty(n, dtype=np.int64)
+        order = np.argsort(far, kind="stable")
+        n_picked = pick_unlike(self.T_map_keyframes, order, APART_M, APART_RAD, picked)
+        return [int(k) for k in picked[:n_picked]]
 
 
 @dataclass(eq=False)
