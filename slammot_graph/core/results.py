@@ -117,7 +117,8 @@ class StepResult:
     T_map_base : (3,) array
         Best pose at this time.
     cov_map : (3, 3) array
-        Its covariance, right perturbation (body frame).
+        Its covariance in the frame of the map's first pose, right perturbation (body frame): with the error of the map
+        itself, also where a saved one is localized in. For what was measured in that map's frame.
     T_map_base_predicted : (3,) array
         The pose before the match.
     cov_relative : (3, 3) array
@@ -128,7 +129,8 @@ class StepResult:
     T_anchor_base : (3,) array
         The matched pose relative to that scan's.
     cov_anchor_base : (3, 3) array
-        Its covariance, right perturbation (body frame).
+        Its covariance, right perturbation (body frame). Where a saved map is localized in, that of the pose relative to
+        the saved keyframes around the robot: for what is done by the map, as to drive through a door that it shows.
     is_valid, is_moving : (n_beams,) bool arrays
     p_moving : (n_beams,) array
         Probability that the beam hit something moving; NaN where not valid.
@@ -219,7 +221,7 @@ class RunResult:
     T_map_odom_base : (n, 3) array
         Raw odometry, moved so that it starts where the trajectory does; rows of NaN for scans without odometry.
     cov_map : (n, 3, 3) array
-        Covariance of `T_map_base`, right perturbation.
+        Covariance of `T_map_base` in the frame of the map's first pose, right perturbation: with the map's own error.
     is_valid, is_moving, is_moving_online : (n, beams) bool arrays
         `is_moving` are the final labels; beams that a scan does not have are not valid.
     p_moving : (n, beams) float16 array
@@ -245,7 +247,7 @@ class RunResult:
     T_anchor_base : (n, 3) array
         Each scan's pose relative to that scan's, as matched at the time.
     cov_anchor_base : (n, 3, 3) array
-        Its covariance, right perturbation (body frame).
+        Its covariance, right perturbation (body frame); localizing, relative to the saved keyframes around the robot.
     T_world_base : (n, 3) array or None
         True poses, where the log knows them.
     n_failed_matches : int

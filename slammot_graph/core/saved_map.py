@@ -5,7 +5,8 @@ the line. These are an ``.npz`` archive (zip of ``.npy`` arrays, no pickle):
 
 - ``header``: bytes of a JSON object with ``runs`` (a list of `SavedRun`), ``joined`` and ``edits``.
 - ``nodes`` (m, 3), ``node_scans`` (m,); ``edge_kinds`` (e,) an index into `EDGE_KINDS`, ``edge_nodes`` (e, 2),
-  ``edge_poses`` (e, 3), ``edge_informations`` (e, 6): the upper triangle, row by row.
+  ``edge_poses`` (e, 3), ``edge_informations`` (e, 6): the upper triangle, row by row; ``odometry_errors`` (m, 12),
+  which files of 0.2.0 do not have.
 - ``keyframe_nodes`` (k,), ``keyframe_poses`` (k, 3), ``keyframe_lasers`` (k,), ``keyframe_origins`` (k, 2),
   ``keyframe_sizes`` (k,), ``keyframe_units`` (k,): of a keyframe's points the next ``sizes`` rows of ``points`` (p, 2),
   int16 in ``units`` metres, and of ``normals`` (p,), int16: the direction in 1/10000 rad, -32768 for none.
@@ -95,6 +96,9 @@ class SavedMap:
     joined : tuple of int
         Components whose place in the map is known.
     runs : tuple of SavedRun
+    odometry_errors : (m, 3, 4) array
+        Of the odometry's edge that leads to each node, by one standard deviation of each parameter that all edges of
+        its run have in common (`graph.common_errors`); zero for none.
     edits : tuple of str
         What was changed in it by hand, in the words of ``slammot-graph edit``.
     """
@@ -114,6 +118,7 @@ class SavedMap:
     submap_components: IntArray
     joined: tuple[int, ...]
     runs: tuple[SavedRun, ...]
+    odometry_errors: FloatArray
     edits: tuple[str, ...] = ()
 
     @classmethod
@@ -190,6 +195,7 @@ class SavedMap:
             "normals": (int(self.keyframe_sizes.sum()), 2),
             "submap_paths": (s,),
             "submap_components": (s,),
+            "odometry_errors": (m, 3, 4),
         }
         for name, shape in shapes.items():
             array = getattr(self, name)
@@ -264,6 +270,7 @@ def _packed(saved: SavedMap) -> dict[str, Any]:
         "submap_keyframes": np.concatenate([np.empty(0, dtype=np.int64), *saved.submaps]).astype(np.int32),
         "submap_paths": saved.submap_paths,
         "submap_components": saved.submap_components.astype(np.int32),
+        "odometry_errors": saved.odometry_errors.astype(np.float32).reshape(-1, 12),
     }
 
 
@@ -316,5 +323,8 @@ def _unpacked(arrays: Mapping[str, Any]) -> dict[str, Any]:
             )
             for run in header["runs"]
         ),
+        "odometry_errors": np.asarray(
+            arrays.get("odometry_errors", np.zeros((len(arrays["nodes"]), 12))), np.float64
+        ).reshape(-1, 3, 4),
         "edits": tuple(str(edit) for edit in header.get("edits", ())),
     }

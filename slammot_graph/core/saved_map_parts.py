@@ -138,5 +138,6 @@ def side_by_side(
                 for run in second.runs
             ),
         ),
+        odometry_errors=np.concatenate([first.odometry_errors, second.odometry_errors]),
         edits=(*first.edits, *second.edits),
     )

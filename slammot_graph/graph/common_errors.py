@@ -36,9 +36,12 @@ def common_error(increment: FloatArray, stds: FloatArray) -> FloatArray:
 
 
 def solution_errors(
-    nodes: FloatArray, edges: Sequence[GraphEdge], errors: Mapping[int, FloatArray]
+    nodes: FloatArray,
+    edges: Sequence[GraphEdge],
+    errors: Mapping[int, FloatArray],
+    first_nodes: Sequence[int] = (0,),
 ) -> FloatArray:
-    """Errors (n, 3, 4) of the solution by one standard deviation of each common parameter, right perturbation.
+    """Errors (n, 3, 4 r) of the solution by one standard deviation of each parameter of r runs, right perturbation.
 
     Parameters
     ----------
@@ -47,19 +50,23 @@ def solution_errors(
     edges : sequence of GraphEdge
     errors : mapping of int to (3, 4) array
         Of the odometry's factor that leads to a node, see `common_error`.
+    first_nodes : sequence of int
+        Where each run begins: its parameters are its own, and make the next four columns.
     """
-    n = len(nodes)
+    n, n_columns = len(nodes), N_PARAMETERS * len(first_nodes)
     if n == 0 or not errors:
-        return np.zeros((n, 3, N_PARAMETERS))
+        return np.zeros((n, 3, n_columns))
     i = np.array([edge.from_node for edge in edges])
     j = np.array([edge.to_node for edge in edges])
     W = np.array([edge.information for edge in edges])
     A = -se2.adjoint(se2.between(nodes[j], nodes[i]))
     AW = np.swapaxes(A, 1, 2) @ W
-    b = np.zeros((len(edges), 3, N_PARAMETERS))
+    by_runs = np.zeros((len(edges), 3, len(first_nodes), N_PARAMETERS))
+    runs = np.searchsorted(first_nodes, j, side="right") - 1
     for k, edge in enumerate(edges):
         if edge.kind == "odometry" and edge.to_node in errors:
-            b[k] = errors[edge.to_node]
+            by_runs[k, :, runs[k]] = errors[edge.to_node]
+    b = by_runs.reshape(len(edges), 3, n_columns)
     held = np.zeros(1, dtype=np.int64)
     rows = np.concatenate([i, i, j, j, held])
     columns = np.concatenate([i, j, i, j, held])
@@ -76,7 +83,7 @@ def solution_errors(
         shape=(3 * n, 3 * n),
     ).tocsc()
     H = H + 1e-6 * sparse.identity(3 * n, format="csc")
-    g = np.zeros((n, 3, N_PARAMETERS))
+    g = np.zeros((n, 3, n_columns))
     np.add.at(g, i, AW @ b)
     np.add.at(g, j, W @ b)
-    return np.asarray(splu(H).solve(g.reshape(3 * n, N_PARAMETERS)).reshape(n, 3, N_PARAMETERS))
+    return np.asarray(splu(H).solve(g.reshape(3 * n, n_columns)).reshape(n, 3, n_columns))

@@ -24,9 +24,10 @@ class Estimate(NamedTuple):
     ----------
     T_local_base : (3,) array
     cov_relative : (3, 3) array
-        Relative to the local map's anchor; for localizers without one, to the scan of the cycle before.
+        Relative to the local map's anchor; for localizers without one, to the scan of the cycle before; in a saved map
+        that stays as it is, to its keyframes around the robot.
     cov_absolute : (3, 3) array
-        In the map. Both are right perturbations (body frame).
+        In the map, with the error of the map itself. Both are right perturbations (body frame).
     T_anchor_base : (3,) array
         The pose that `cov_relative` is about.
     anchor_scan : int

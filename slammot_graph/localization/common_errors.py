@@ -11,7 +11,8 @@ from slammot_graph.graph.common_errors import N_PARAMETERS, common_error
 class CommonErrors:
     """What they have done to the poses of the local map's nodes in the map, as known at the time.
 
-    All are right perturbations (body frame), order (x, y, theta), by one standard deviation of each parameter.
+    All are right perturbations (body frame), order (x, y, theta), by one standard deviation of each parameter. In a run
+    that goes on with a saved map the last four columns are its own parameters, the others those of the runs before.
 
     Attributes
     ----------
@@ -45,7 +46,8 @@ class CommonErrors:
         """
         error = common_error(T_last_node, stds)
         self.of_factors[node] = error
-        self._latest = se2.adjoint(se2.inverse(T_last_node)) @ self._latest + error
+        self._latest = se2.adjoint(se2.inverse(T_last_node)) @ self._latest
+        self._latest[:, -N_PARAMETERS:] += error
         self._of_nodes[node] = self._latest
         self._cov = se2.compound_covariance(self._cov, T_last_node, cov)
 
@@ -67,6 +69,6 @@ class CommonErrors:
         self._cov = cov
 
     def close_loop(self, solution: FloatArray) -> None:
-        """Take over the errors (n, 3, 4) of all nodes as of the graph's new solution."""
+        """Take over the errors (n, 3, 4 r) of all nodes as of the graph's new solution."""
         self._of_nodes = {node: solution[node] for node in self._of_nodes}
         self._latest = solution[-1]

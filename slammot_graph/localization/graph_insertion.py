@@ -12,7 +12,7 @@ from slammot_graph.core.results import ClosureAttempt
 from slammot_graph.core.saved_map import MapStart, SavedMap, SavedRun
 from slammot_graph.core.types import FloatArray
 from slammot_graph.graph import LocalFactors, PoseGraph
-from slammot_graph.graph.common_errors import solution_errors
+from slammot_graph.graph.common_errors import N_PARAMETERS, solution_errors
 from slammot_graph.localization.base import FIRST_COV
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.keyframe_state import KeyframeState
@@ -99,6 +99,10 @@ class GraphInsertion:
         self._saved = saved = start.saved
         self.graph.load(saved.nodes, saved.edges)
         self.node_scans = [NOT_OF_THIS_RUN] * len(saved.nodes)
+        is_known = saved.odometry_errors.any(axis=(1, 2))
+        self.keyframes.common_errors.of_factors = {
+            node: saved.odometry_errors[node] for node in np.flatnonzero(is_known).tolist()
+        }
         submaps = load_submaps(saved, self._config.closure.submap)
         self._n_submaps = len(submaps)
         self.n_times_lost = first_component(saved)
@@ -236,8 +240,17 @@ class GraphInsertion:
         return state._replace(cov_prior=keyframes.cov_keyframe), closures
 
     def common_solution(self, nodes: FloatArray) -> FloatArray:
-        """Errors (n, 3, 4) of the graph's nodes (n, 3) by what the odometry's errors have in common."""
-        return solution_errors(nodes, self.graph.edges, self.keyframes.common_errors.of_factors)
+        """Errors (n, 3, 4 r) of the graph's nodes (n, 3) by what each of r runs' odometry errors have in common."""
+        runs = () if self._saved is None else self._saved.runs
+        first_nodes = [*(run.first_node for run in runs), self._n_saved]
+        return solution_errors(nodes, self.graph.edges, self.keyframes.common_errors.of_factors, first_nodes)
+
+    def solved(self) -> tuple[FloatArray, FloatArray]:
+        """Optimised poses (n, 3) of all nodes and their covariances (n, 3, 3) in the map, body frame; by a copy."""
+        graph = self.graph.snapshot()
+        nodes = graph.poses()
+        common = self.common_solution(nodes)
+        return nodes, graph.marginals() + common @ np.swapaxes(common, 1, 2)
 
     def search_on(self) -> tuple[ClosureAttempt, ...]:
         """Take the search for the latest component a step further; gives the closures tried."""
@@ -267,6 +280,9 @@ class GraphInsertion:
             component, edits = first_component(self._saved), self._saved.edits
             old_runs = tuple(replace(run, first_scan=NOT_OF_THIS_RUN) for run in self._saved.runs)
             old_scans = self._saved.node_scans.tolist()
+        odometry_errors = np.zeros((len(nodes), 3, N_PARAMETERS))
+        for node, error in self.keyframes.common_errors.of_factors.items():
+            odometry_errors[node] = error
         run = SavedRun(first_node=self._n_saved, component=component, odometry=calibration_of(report))
         return save_submaps(
             submaps,
@@ -275,6 +291,7 @@ class GraphInsertion:
             edges=self.graph.all_edges,
             joined=tuple({0} if self.closer is None else self.closer.relocalization.joined),
             runs=(*old_runs, run),
+            odometry_errors=odometry_errors,
             edits=edits,
         )
 

@@ -1,6 +1,5 @@
 """Localization in a saved map, which stays as it is: place recognition, then scans matched onto its keyframes."""
 
-from array import array
 from collections import deque
 from dataclasses import dataclass, field, replace
 
@@ -11,10 +10,13 @@ from slammot_graph.core.events import make_event
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.saved_map import MapStart
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import BoolArray, FloatArray, IntArray
+from slammot_graph.core.types import BoolArray, FloatArray
+from slammot_graph.localization._keyframe_kernels import pick_unlike
 from slammot_graph.localization.base import CommitResult, Estimate, FinalEstimate
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.graph_insertion import NOT_OF_THIS_RUN, GraphInsertion
+from slammot_graph.localization.placed_parts import PlacedParts
+from slammot_graph.localization.scan_poses import ScanPoses
 from slammot_graph.localization.scan_to_map import ScanToMap
 from slammot_graph.loop_closure.submap import Submap
 from slammot_graph.mapping.local_map import NO_NODE, Keyframe, make_keyframe
@@ -32,9 +34,6 @@ TURN_M_PER_RAD = 1.5
 MIN_AGREEMENT = 0.7
 """Where fewer of the points agree with the saved map, the robot's own keyframes are added."""
 
-REACH_M = 6.0
-"""Most often enough keyframes are within this, turns counted."""
-
 RENEWED_AFTER = 2.0
 """So many times the motion between two keyframes, and the local map is made anew: its keyframes reach some metres."""
 
@@ -43,9 +42,6 @@ OWN_REACH_M = 4.0
 
 MOST_UNSURE_M = 8.0
 """After so long a way on which the saved map has not shown what the robot sees, the robot is lost."""
-
-UPPER = np.triu_indices(3)
-"""Of covariances their upper triangles are kept, in single precision."""
 
 FOUND_STD = (0.1, 0.1, 0.02)
 """Standard deviation of the place that was found, before the first match there [m, m, rad]."""
@@ -58,50 +54,46 @@ class KeyframesOfMap:
     ----------
     keyframes : list of Keyframe
     T_map_keyframes : (k, 3) array
+    cov_map : (k, 3, 3) array
+        How well the map knows where they are, right perturbation (body frame).
     """
 
-    def __init__(self, submaps: list[Submap], nodes: FloatArray) -> None:
-        placed: dict[int, tuple[int, Keyframe, FloatArray]] = {}
+    def __init__(self, submaps: list[Submap], nodes: FloatArray, covs: FloatArray) -> None:
+        placed: dict[int, tuple[int, Keyframe, FloatArray, FloatArray]] = {}
         for submap in submaps:
             n = len(submap.keyframes)
             T_map_keyframes = se2.compose(nodes[submap.anchor][None, :], submap.T_anchor_keyframes)
+            A = se2.adjoint(se2.inverse(submap.T_anchor_keyframes))
+            cov_map = A @ covs[submap.anchor] @ np.swapaxes(A, 1, 2)
             for k, keyframe in enumerate(submap.keyframes):
                 from_middle = abs(2 * k - n)
                 if id(keyframe) not in placed or from_middle < placed[id(keyframe)][0]:
-                    placed[id(keyframe)] = from_middle, keyframe, T_map_keyframes[k]
-        self.keyframes = [keyframe for _, keyframe, _ in placed.values()]
-        self.T_map_keyframes = np.array([T for _, _, T in placed.values()]).reshape(-1, 3)
+                    placed[id(keyframe)] = from_middle, keyframe, T_map_keyframes[k], cov_map[k]
+        self.keyframes = [keyframe for _, keyframe, _, _ in placed.values()]
+        self.T_map_keyframes = np.array([T for _, _, T, _ in placed.values()]).reshape(-1, 3)
+        self.cov_map = np.array([cov for _, _, _, cov in placed.values()]).reshape(-1, 3, 3)
 
     def around(self, T_map_base: FloatArray, n: int = N_KEYFRAMES) -> list[int]:
         """Numbers of the n keyframes that best show what is seen from a pose (3,), the nearest first."""
         offset = se2.between(T_map_base[None, :], self.T_map_keyframes)
         far = np.hypot(offset[:, 0], offset[:, 1]) + TURN_M_PER_RAD * np.abs(offset[:, 2])
-        chosen: list[int] = []
-        for reach_m in (REACH_M, np.inf):
-            chosen = self._unlike(np.argsort(far, kind="stable")[: np.count_nonzero(far < reach_m)], n)
-            if len(chosen) == n:
-                break
-        return chosen
-
-    def _unlike(self, left: IntArray, n: int) -> list[int]:
-        """The first n of some keyframes of which none is like one before."""
-        chosen: list[int] = []
-        while len(left) and len(chosen) < n:
-            chosen.append(int(left[0]))
-            x, y, theta = (self.T_map_keyframes[left] - self.T_map_keyframes[left[0]]).T
-            is_like = (x**2 + y**2 < APART_M**2) & (np.abs(se2.wrap_angle(theta)) < APART_RAD)
-            is_like[0] = True
-            left = left[~is_like]
-        return chosen
+        picked = np.empty(n, dtype=np.int64)
+        order = np.argsort(far, kind="stable")
+        n_picked = pick_unlike(self.T_map_keyframes, order, APART_M, APART_RAD, picked)
+        return [int(k) for k in picked[:n_picked]]
 
 
 @dataclass(eq=False)
 class _Since:
-    """Where the latest keyframe was taken and the local map renewed, and of which saved keyframes alone it is made."""
+    """Where the latest keyframe was taken and the local map renewed, and of which saved keyframes alone it is made.
+
+    By the nearest of these `cov_local` (3, 3) tells how well the map knows where the local frame is (its body frame).
+    """
 
     T_local_keyframe: FloatArray = field(default_factory=lambda: se2.IDENTITY)
     T_local_renewed: FloatArray = field(default_factory=lambda: se2.IDENTITY)
     in_local_map: list[int] = field(default_factory=list)
+    cov_local: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class InSavedMap(ScanToMap):
@@ -110,6 +102,9 @@ class InSavedMap(ScanToMap):
     From then on the local map is made of the saved keyframes around the robot, and no node is added. Where those do not
     show what the robot sees, its latest keyframes are added to the local map, and to nothing else. A robot that is lost
     is looked for again.
+
+    An estimate's `cov_relative` is that of the pose relative to the saved keyframes around the robot, taken as exact:
+    by it scans are tested and matched. `cov_absolute` has the saved map's own error there besides.
 
     Attributes
     ----------
@@ -121,13 +116,15 @@ class InSavedMap(ScanToMap):
         super().__init__(model, config, start)
         self.is_found = False
         self._start = start
-        self._known: KeyframesOfMap | None = None
+        assert self.closer is not None
+        joined = [submap for submap in self.closer.submaps if submap.component in start.saved.joined]
+        _, covs = self.insertion.solved()
+        self._known = KeyframesOfMap(joined, start.saved.nodes, covs)
         self._own: deque[tuple[Keyframe, FloatArray]] = deque(maxlen=N_OWN)
         self._before: list[Keyframe] = []  # with which the robot was found, until the next match
         self._since = _Since()
         self._sure_at: tuple[float, int] = (0.0, 0)
-        self._poses, self._covs = array("d"), array("f")
-        self._parts: list[tuple[int, FloatArray | None]] = [(0, None)]
+        self._told = PlacedParts()
 
     def commit(self, scan: Scan, points_base: FloatArray, is_static: BoolArray) -> CommitResult:
         """See `Localizer`."""
@@ -138,10 +135,9 @@ class InSavedMap(ScanToMap):
             if self.insertion.is_placed:
                 self._enter(scan.index)
             elif committed.is_lost:
-                self._parts.append((len(self._poses) // 3, None))
+                self._told.begin()
         estimate = self._estimate()
-        self._poses.extend(estimate.T_local_base.tolist())
-        self._covs.extend(estimate.cov_absolute[UPPER].tolist())
+        self._told.append(estimate.T_local_base, estimate.cov_absolute)
         return committed
 
     def nodes_and_edges(self) -> tuple[FloatArray, tuple[GraphEdge, ...]]:
@@ -150,51 +146,34 @@ class InSavedMap(ScanToMap):
 
     def final(self) -> FinalEstimate:
         """See `Localizer`: poses as they were at the time, those before the place was found moved there."""
-        T_map_base = np.array(self._poses, dtype=np.float64).reshape(-1, 3)
-        cov_map = np.empty((len(T_map_base), 3, 3))
-        cov_map[:, UPPER[0], UPPER[1]] = np.array(self._covs, dtype=np.float64).reshape(-1, 6)
-        cov_map[:, UPPER[1], UPPER[0]] = cov_map[:, UPPER[0], UPPER[1]]
-        ends = [first for first, _ in self._parts[1:]] + [len(T_map_base)]
-        for (first, T_map_local), end in zip(self._parts, ends, strict=True):
-            if T_map_local is not None:
-                T_map_base[first:end] = se2.compose(T_map_local[None, :], T_map_base[first:end])
+        T_map_base, cov_map = self._told.trajectory()
         saved = self._start.saved
-        is_placed = all(T_map_local is not None for _, T_map_local in self._parts)
         return FinalEstimate(
             T_map_base=T_map_base,
             cov_map=cov_map,
             node_scans=np.full(len(saved.nodes), NOT_OF_THIS_RUN),
             nodes=saved.nodes,
             edges=saved.edges,
-            earlier=saved if is_placed else None,
+            earlier=saved if self._told.is_placed else None,
         )
 
     def _estimate(self) -> Estimate:
         if not self.is_found:
             return super()._estimate()
         state = self.propagation.state
-        return Estimate(
-            T_local_base=state.T_local_base,
-            cov_relative=state.cov_relative,
-            cov_absolute=state.cov_relative,
-            T_anchor_base=state.T_local_base,
-        )
+        T_local_base, cov = state.T_local_base, state.cov_relative
+        cov_map = se2.compound_covariance(self._since.cov_local, T_local_base, cov)
+        return Estimate(T_local_base, cov, cov_map, T_local_base)
 
     def _enter(self, scan: int) -> None:
         """Go over to the saved keyframes."""
-        if self._known is None:
-            closer, saved = self.insertion.closer, self._start.saved
-            assert closer is not None
-            joined = [
-                s for s in closer.submaps if s.component in saved.joined and s.anchor < len(saved.nodes)
-            ]
-            self._known = KeyframesOfMap(joined, saved.nodes)
         self.is_found = True
         self._since.in_local_map = []
         self._own.clear()
         self._before = self.local_map.keyframes[-N_OWN:]
         self._sure_at = self.propagation.path_m, scan
-        self._parts[-1] = self._parts[-1][0], self.T_map_local
+        T_map_base, cov_map = self._scan_poses.trajectory(*self.insertion.solved())
+        self._told.place(self.T_map_local, T_map_base[:-1], cov_map[:-1])
         cov = np.diag(np.square(FOUND_STD))
         self.propagation.state = self.propagation.state._replace(
             cov_prior=cov, cov_independent=cov, cov_correlated=np.zeros((3, 3))
@@ -263,10 +242,12 @@ class InSavedMap(ScanToMap):
         return path_m - self._sure_at[0], scan - self._sure_at[1]
 
     def _renew_local_map(self) -> None:
-        assert self._known is not None
         T_local_base = self._since.T_local_keyframe = self.propagation.state.T_local_base
         self._since.T_local_renewed = T_local_base
         numbers = self._known.around(se2.compose(self.T_map_local, T_local_base))
+        T_nearest_local = se2.between(self._known.T_map_keyframes[numbers[0]], self.T_map_local)
+        cov_nearest = self._known.cov_map[numbers[0]]
+        self._since.cov_local = se2.compound_covariance(cov_nearest, T_nearest_local, np.zeros((3, 3)))
         near = [one for one in self._own if se2.distance(one[0].T_local_base, T_local_base)[0] < OWN_REACH_M]
         self._own = deque(near, maxlen=N_OWN)
         new = [k for k in numbers if k not in self._since.in_local_map]
@@ -285,7 +266,6 @@ class InSavedMap(ScanToMap):
 
     def _of_map(self, numbers: list[int]) -> list[Keyframe]:
         """Keyframes of the saved map in the local frame."""
-        assert self._known is not None
         known, T_local_map = self._known, se2.inverse(self.T_map_local)
         return [
             replace(known.keyframes[k], T_local_base=se2.compose(T_local_map, known.T_map_keyframes[k]))
@@ -295,10 +275,10 @@ class InSavedMap(ScanToMap):
     def _leave(self) -> None:
         """Look for the robot again, with nothing known of the motion since."""
         self.is_found = False
-        self._parts.append((len(self._poses) // 3, None))
+        self._told.begin()
         self._sweep_end = None
         self.propagation.lose_track(self.config.lost_cov, self.config.lost_distance_m)
         self.local_map.start([])
         self.insertion.graph.close()
-        self.insertion = GraphInsertion(self.config, self.local_map)
+        self.insertion, self._scan_poses = GraphInsertion(self.config, self.local_map), ScanPoses()
         self.insertion.start_from(replace(self._start, initial_pose=None))

@@ -22,6 +22,7 @@ def save_submaps(
     edges: tuple[GraphEdge, ...],
     joined: Sequence[int],
     runs: tuple[SavedRun, ...],
+    odometry_errors: FloatArray,
     edits: tuple[str, ...] = (),
 ) -> SavedMap:
     """Make a `SavedMap` of local maps and the graph that their anchors are nodes of; see there for the arguments.
@@ -53,6 +54,7 @@ def save_submaps(
         submap_components=np.array([submap.component for submap in submaps], dtype=np.int64),
         joined=tuple(sorted(joined)),
         runs=runs,
+        odometry_errors=odometry_errors,
         edits=edits,
     )
 

@@ -12,8 +12,11 @@ from slammot_graph.run_folder.atomic import write_arrays
 
 
 def write_covariances(path: Path, result: RunResult) -> None:
-    """Write `stamps` (n,) [s], `cov_map` (n, 3, 3) of the poses of ``trajectory.tum`` and `node_scans` (m,).
+    """Write `stamps` (n,) [s], `cov_map` and `cov_anchor_base` (n, 3, 3), and `node_scans` (m,).
 
+    `cov_map` is that of the poses of ``trajectory.tum`` in the map, the map's own error in it. `cov_anchor_base`, as
+    known at the time, is relative to the local map that the scan was matched with; in a run that localizes, relative to
+    the keyframes of the saved map around the robot.
     The vertex k of ``graph.g2o`` is the scan ``node_scans[k]``, counted from 0, which is also its line in
     ``trajectory.tum``.
 
@@ -23,7 +26,11 @@ def write_covariances(path: Path, result: RunResult) -> None:
         The file cannot be written.
     """
     write_arrays(
-        path, stamps=result.stamps, cov_map=result.cov_map, node_scans=result.node_scans.astype(np.int64)
+        path,
+        stamps=result.stamps,
+        cov_map=result.cov_map,
+        cov_anchor_base=result.cov_anchor_base,
+        node_scans=result.node_scans.astype(np.int64),
     )
 
 

@@ -35,8 +35,12 @@ def archive_of(data: bytes) -> dict[str, np.ndarray]:
 
 def with_arrays(**arrays: np.ndarray) -> bytes:
     """The file with other arrays, and a checksum that is right."""
+    return file_of({**archive_of(saved().to_bytes()), **arrays})
+
+
+def file_of(arrays: dict[str, np.ndarray]) -> bytes:
     out = io.BytesIO()
-    np.savez_compressed(out, **{**archive_of(saved().to_bytes()), **arrays})  # type: ignore[arg-type]
+    np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
     body = out.getvalue()
     return f"slammot-graph map 1 {hashlib.sha256(body).hexdigest()}\n".encode() + body
 
@@ -54,6 +58,8 @@ def test_a_map_is_read_back(tmp_path: Path) -> None:
         assert (edge.kind, edge.from_node, edge.to_node) == (other.kind, other.from_node, other.to_node)
         np.testing.assert_array_equal(edge.T_from_to, other.T_from_to)
         np.testing.assert_allclose(edge.information, other.information, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(read.odometry_errors, saved().odometry_errors, rtol=1e-6)
+    assert saved().odometry_errors[1:].any(axis=(1, 2)).all()
     assert read.joined == (0,)
     assert read.runs[0].first_node == 0
     assert all(std > 0.0 for _, std in read.runs[0].odometry.values())
@@ -70,6 +76,13 @@ def test_its_local_maps_are_those_of_the_run() -> None:
         np.testing.assert_allclose(np.hypot(*normals.T).max(), 1.0)
     # a keyframe that two local maps share is one
     assert submaps[0].keyframes[-1] is submaps[1].keyframes[-8]
+
+
+def test_a_file_without_the_odometrys_common_errors_is_read() -> None:
+    arrays = archive_of(saved().to_bytes())
+    del arrays["odometry_errors"]
+    read = SavedMap.from_bytes(file_of(arrays))
+    np.testing.assert_array_equal(read.odometry_errors, np.zeros((len(read.nodes), 3, 4)))
 
 
 def test_a_kept_scan_takes_no_more_than_2_kb() -> None:

@@ -69,3 +69,17 @@ def test_without_odometry_nothing_is_in_common() -> None:
     right, edges = solved(1.0, 6, NO_MATCH, is_closed=False)
     assert not solution_errors(right, edges, {}).any()
     assert solution_errors(np.empty((0, 3)), [], {}).shape == (0, 3, 4)
+
+
+def test_each_run_has_parameters_of_its_own() -> None:
+    n, second = 12, 5
+    nodes, edges = solved(1.0, n, NO_MATCH, is_closed=True)
+    of_factors = {k: common_error(STEP, np.array([0.001, 0.0, 0.0, 0.0])) for k in range(1, n)}
+    errors = solution_errors(nodes, edges, of_factors, [0, second])
+    assert errors.shape == (n, 3, 8)
+    for run, own in enumerate((range(1, second), range(second, n))):
+        alone = solution_errors(nodes, edges, {k: of_factors[k] for k in own})
+        np.testing.assert_allclose(errors[:, :, 4 * run : 4 * run + 4], alone, atol=1e-12)
+    np.testing.assert_allclose(
+        errors[:, :, 0] + errors[:, :, 4], solution_errors(nodes, edges, of_factors)[:, :, 0], atol=1e-12
+    )

@@ -57,6 +57,43 @@ def test_a_pose_is_as_uncertain_as_where_the_robot_may_be() -> None:
     assert np.sqrt(result.cov_map[:, 0, 0]).max() < 0.1
 
 
+def nees(errors: FloatArray, covs: FloatArray) -> float:
+    return float(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covs), errors).mean())
+
+
+def test_the_pose_in_the_map_is_as_uncertain_as_the_map_is_there() -> None:
+    result = second_ring(60, localize=True)
+    is_found = result.health != "lost"
+    errors = se2.log(se2.between(true_in_map(60), result.T_map_base))
+    assert nees(errors[is_found], result.cov_anchor_base[is_found]) > 9.0  # that of the map is not in it
+    assert 0.5 < nees(errors[is_found], result.cov_map[is_found]) < 6.0
+    values = np.linalg.eigvalsh((result.cov_map - result.cov_anchor_base)[is_found][1:])
+    assert values.min() > -1e-9
+    assert np.sqrt(result.cov_map[~is_found, 0, 0]).max() < 0.1  # as found out later
+
+
+def test_localizing_measures_and_matches_as_if_the_map_were_exact() -> None:
+    saved = ring_map()
+    doubtful = replace(saved, odometry_errors=100.0 * saved.odometry_errors)
+    steps = [
+        list(Run(Later(ring_log(2), 60), start=MapStart(saved=start, localize=True), max_scans=80))
+        for start in (saved, doubtful)
+    ]
+    for step, other in zip(*steps, strict=True):
+        np.testing.assert_array_equal(step.T_map_base, other.T_map_base)
+        np.testing.assert_array_equal(step.cov_anchor_base, other.cov_anchor_base)
+        np.testing.assert_array_equal(step.is_moving, other.is_moving)
+    assert steps[1][-1].cov_map[0, 0] > 10.0 * steps[0][-1].cov_map[0, 0]
+
+
+def test_what_the_earlier_runs_odometry_has_in_common_stays_known() -> None:
+    both = second_ring(60, localize=False).saved_map
+    assert both is not None
+    m = len(ring_map().nodes)
+    np.testing.assert_allclose(both.odometry_errors[:m], ring_map().odometry_errors)
+    assert both.odometry_errors[m + 1 :].any(axis=(1, 2)).all()
+
+
 def test_the_nodes_do_not_grow_while_localizing() -> None:
     with Pipeline(PipelineConfig(), MapStart(saved=ring_map(), localize=True)) as pipeline:
         localizer = pipeline.localizer
@@ -178,7 +215,8 @@ def test_a_robot_that_is_lost_is_looked_for_again(is_told: bool) -> None:
 
 def test_the_keyframes_around_a_pose_are_the_nearest_and_differ() -> None:
     saved = ring_map()
-    known = KeyframesOfMap(load_submaps(saved, SubmapConfig()), saved.nodes)
+    covs = np.zeros((len(saved.nodes), 3, 3))
+    known = KeyframesOfMap(load_submaps(saved, SubmapConfig()), saved.nodes, covs)
     assert len(known.keyframes) == len(saved.keyframe_nodes)
     pose = known.T_map_keyframes[40]
     chosen = known.around(pose, n=12)

@@ -164,6 +164,7 @@ def test_the_summary_tells_what_of_the_log_was_used(tmp_path: Path) -> None:
 def test_covariances_are_read_back(folder: Path) -> None:
     with np.load(folder / "covariances.npz") as file:
         np.testing.assert_array_equal(file["cov_map"], result().cov_map)
+        np.testing.assert_array_equal(file["cov_anchor_base"], result().cov_anchor_base)
         np.testing.assert_array_equal(file["stamps"], result().stamps)
 
 
