@@ -32,6 +32,10 @@ SHRUNK_M, SHRUNK_M_S = 0.3, 3.0
 """Beams that shorten by more, at once and with time, are cut off by something that comes: robots do not drive so."""
 SHRUNK_SHARE = 0.5
 """Of the beams that had a return before: the others saw something near already."""
+SHRUNK_PART_SHARE = 0.25
+"""Of all beams, where some are free: between walls close by a cover shortens few."""
+CUT_M = 0.05
+"""Then beams that have become shorter by more are surely covered, others that end close by may be."""
 LEAST_SEEN_SHARE = 0.3
 """Of the beams that had a return before: of others it is not known how far they saw."""
 LATELY_S = 0.5
@@ -46,12 +50,13 @@ _LOOKED_AT = (0.1, 0.3, 0.5, 0.7, 0.9)  # beams that tell at no cost that most a
 
 
 class _View(NamedTuple):
-    """What a laser saw at a time; of a cover, which beams (n_beams,) it cuts off."""
+    """What a laser saw at a time; of a cover, which beams (n_beams,) it may cut off, and which it surely does."""
 
     stamp: float
     ranges: FloatArray
     T_odom_base: FloatArray | None
     is_cut: BoolArray | None = None
+    has_come: BoolArray | None = None
 
 
 class BlindScans:
@@ -143,10 +148,8 @@ class _OneLaser:
             last = self._lately[-1]
             if not 0.0 <= view.stamp - last.stamp < LONGEST_GAP_S or len(last.ranges) != len(view.ranges):
                 self._lately = []
-        is_near = self._what_has_come(scan)
-        if is_near is not None:
-            is_whole = np.count_nonzero(is_near) >= NEAR_SHARE * len(is_near)
-            self._cover = view if is_whole else view._replace(is_cut=is_near)
+        self._cover = self._what_has_come(scan, view)
+        if self._cover is not None:
             return True
         while self._lately and view.stamp - self._lately[0].stamp > LATELY_S:
             del self._lately[0]
@@ -158,13 +161,12 @@ class _OneLaser:
         cover = self._cover
         if cover is None or cover.is_cut is None or view.stamp - cover.stamp > LATELY_S:
             return
-        has_come = (view.ranges <= NEAR_M) & ~(view.ranges >= cover.ranges - SHRUNK_M)
-        is_cut = cover.is_cut | has_come
+        is_cut = cover.is_cut | ((view.ranges <= NEAR_M) & ~(view.ranges >= cover.ranges - SHRUNK_M))
         is_whole = np.count_nonzero(is_cut) >= NEAR_SHARE * len(is_cut)
-        self._cover = cover._replace(is_cut=None if is_whole else is_cut)
+        self._cover = cover._replace(is_cut=None) if is_whole else cover._replace(is_cut=is_cut)
 
-    def _what_has_come(self, scan: Scan) -> BoolArray | None:
-        """(n_beams,) mask of the beams that end close by, where they are most and reached farther lately."""
+    def _what_has_come(self, scan: Scan, view: _View) -> _View | None:
+        """Give what covers the laser: most beams end close by that reached farther lately."""
         ranges, n = scan.ranges, len(scan.ranges)
         if not self._lately:
             return None
@@ -176,26 +178,28 @@ class _OneLaser:
         is_near: BoolArray = scan.is_valid() & (ranges <= NEAR_M)
         n_near = np.count_nonzero(is_near)
         is_whole = n_near >= NEAR_SHARE * n
-        # that what is near rides on the robot, and not on the floor, is known by driving alone
-        if not is_whole and (n_near < PART_SHARE * n or scan.T_odom_base is None):
+        if n_near < PART_SHARE * n:
             return None
         for before in (self._lately[0], self._lately[-1]):
             was = before.ranges
             was_seen = np.isfinite(was) & (was > 0.0) & (was < NO_RETURN_FRACTION * scan.laser.range_max)
-            if not is_whole:
-                was_seen &= is_near
             n_seen = np.count_nonzero(was_seen)
+            if n_seen < LEAST_SEEN_SHARE * n:
+                continue
             limit = SHRUNK_M + SHRUNK_M_S * (scan.stamp - before.stamp)
-            n_shorter = np.count_nonzero(was_seen & (ranges < was - limit))
-            if n_seen >= LEAST_SEEN_SHARE * n and n_shorter >= SHRUNK_SHARE * n_seen:
-                return is_near
+            n_shorter = np.count_nonzero(was_seen & is_near & (ranges < was - limit))
+            if is_whole and n_shorter >= SHRUNK_SHARE * n_seen:
+                return view
+            # that a part rides on the robot, and does not stand on the floor, is known by driving alone
+            if scan.T_odom_base is not None and n_shorter >= SHRUNK_PART_SHARE * n:
+                return view._replace(is_cut=is_near, has_come=is_near & ~(ranges >= was - CUT_M))
         return None
 
     def _still_covers(self, cover: _View, view: _View) -> bool:
         """Whether most of its beams still end close by, and at the same places however the robot drives."""
         now, then = view.ranges, cover.ranges
-        if cover.is_cut is not None:
-            now, then = now[cover.is_cut], then[cover.is_cut]
+        if cover.has_come is not None:
+            now, then = now[cover.has_come], then[cover.has_come]
         if np.count_nonzero(now <= NEAR_M) < 0.5 * len(now):
             return False
         if cover.T_odom_base is None or view.T_odom_base is None:
@@ -204,7 +208,7 @@ class _OneLaser:
         if np.hypot(x, y) < DRIVEN_M and abs(theta) < DRIVEN_RAD:
             return True
         is_same = np.abs(now - then) <= SAME_M + SAME_SHARE_OF_RANGE * then
-        self._cover = view._replace(is_cut=cover.is_cut)
+        self._cover = view._replace(is_cut=cover.is_cut, has_come=cover.has_come)
         return bool(np.count_nonzero(is_same) >= 0.5 * len(now))
 
 
