@@ -31,6 +31,7 @@ MEASURED_LATE = "the run has corrected for it"
 _OF_WARNINGS: Sequence[tuple[FindingKind, str]] = (
     ("frames", r"two (frames|lasers)|frames of|other frame"),
     ("beam times", r"time_increment"),
+    ("no-return value", r"for no return"),
     ("stamps", r"(all|equal|same|identical) stamps|stamps? (are|is|never|do|does)\b|wrap"),
     ("no odometry", r"without odometry|laser alone|no odometry"),
     ("odometry never moves", r"static transform|never (moves|changes)"),
