@@ -61,7 +61,7 @@ def _laser_blind(data: Mapping[str, Any]) -> str:
     if data["cause"] == "partly covered":
         return "laser blind: something covers most of the laser's beams; the others alone are used"
     why = (
-        "the laser gives a scan again that it gave before while the robot moves"
+        "the laser gives the same scan again and again while the robot moves"
         if data["cause"] == "repeated"
         else "something covers the laser"
     )

@@ -190,8 +190,8 @@ class ScanStatistics:
                 kind="ranges in millimetres",
                 severity="error",
                 cause=(
-                    f"ranges look like millimetres or centimetres: their median, {median:.0f} m, lies beyond what a laser"
-                    " reaches"
+                    f"ranges look like millimetres or centimetres: their median, {median:.0f} m, lies beyond"
+                    " what a laser reaches"
                 ),
                 remedy="divide ranges, range_min and range_max by 1000, or by 100",
                 data={"median_range_m": median},

@@ -40,6 +40,8 @@ LEAST_SEEN_SHARE = 0.3
 """Of the beams that had a return before: of others it is not known how far they saw."""
 LATELY_S = 0.5
 """Within such a time a laser is covered: it is compared with how far it saw before."""
+APART_M, APART_RAD = 0.2, 0.2
+"""On such a way the view changes by itself, however short a time the stamps tell of."""
 LONGEST_GAP_S = 1.0
 """Between scans; beyond, nothing is known of how the view changed."""
 SAME_M, SAME_SHARE_OF_RANGE = 0.05, 0.1
@@ -181,6 +183,8 @@ class _OneLaser:
         if n_near < PART_SHARE * n:
             return None
         for before in (self._lately[0], self._lately[-1]):
+            if _is_apart(before, view):
+                continue
             was = before.ranges
             was_seen = np.isfinite(was) & (was > 0.0) & (was < NO_RETURN_FRACTION * scan.laser.range_max)
             n_seen = np.count_nonzero(was_seen)
@@ -192,7 +196,8 @@ class _OneLaser:
                 return view
             # that a part rides on the robot, and does not stand on the floor, is known by driving alone
             if scan.T_odom_base is not None and n_shorter >= SHRUNK_PART_SHARE * n:
-                return view._replace(is_cut=is_near, has_come=is_near & ~(ranges >= was - CUT_M))
+                has_come = is_near & ~(ranges >= was - CUT_M)
+                return view._replace(is_cut=None if is_whole else is_near, has_come=has_come)
         return None
 
     def _still_covers(self, cover: _View, view: _View) -> bool:
@@ -210,6 +215,14 @@ class _OneLaser:
         is_same = np.abs(now - then) <= SAME_M + SAME_SHARE_OF_RANGE * then
         self._cover = view._replace(is_cut=cover.is_cut, has_come=cover.has_come)
         return bool(np.count_nonzero(is_same) >= 0.5 * len(now))
+
+
+def _is_apart(before: _View, view: _View) -> bool:
+    """Whether the robot has driven or turned far between two views, as far as the odometry tells."""
+    if before.T_odom_base is None or view.T_odom_base is None:
+        return False
+    x, y, theta = se2.between(before.T_odom_base, view.T_odom_base)
+    return bool(np.hypot(x, y) > APART_M or abs(theta) > APART_RAD)
 
 
 def _has_returns(scan: Scan) -> bool:
