@@ -40,7 +40,7 @@ LEAST_SEEN_SHARE = 0.3
 """Of the beams that had a return before: of others it is not known how far they saw."""
 LATELY_S = 0.5
 """Within such a time a laser is covered: it is compared with how far it saw before."""
-APART_M, APART_RAD = 0.2, 0.2
+APART_M, APART_RAD = 0.22, 0.2
 """On such a way the view changes by itself, however short a time the stamps tell of."""
 LONGEST_GAP_S = 1.0
 """Between scans; beyond, nothing is known of how the view changed."""
@@ -182,9 +182,8 @@ class _OneLaser:
         is_whole = n_near >= NEAR_SHARE * n
         if n_near < PART_SHARE * n:
             return None
-        for before in (self._lately[0], self._lately[-1]):
-            if _is_apart(before, view):
-                continue
+        from_here = [before for before in self._lately if not _is_apart(before, view)]
+        for before in (*from_here[:1], *from_here[-1:]):
             was = before.ranges
             was_seen = np.isfinite(was) & (was > 0.0) & (was < NO_RETURN_FRACTION * scan.laser.range_max)
             n_seen = np.count_nonzero(was_seen)
