@@ -114,6 +114,7 @@ class Pipeline:
         detection = self.detector.detect(scan, is_valid, predicted, predicted_positions)
         watch.lap("detect")
         scan, matched, match, detection = self._match(scan, is_valid, detection, predicted_positions)
+        self._blind_scans.found_at(matched.T_local_base)
         points = scan.points(matched.T_local_base)
         p_moving = self.detector.p_moving(scan, detection, points, predicted_positions)
         detection = self.detector.settle(detection, scan.ranges, is_valid, p_moving)

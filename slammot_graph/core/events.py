@@ -65,6 +65,8 @@ def _lost(data: Mapping[str, Any]) -> str:
 
 
 def _laser_blind(data: Mapping[str, Any]) -> str:
+    if data["cause"] == "partly covered":
+        return "laser blind: something covers most of the laser's beams; the others alone are used"
     why = (
         "the laser gives the same scan again and again while the robot moves"
         if data["cause"] == "repeated"
@@ -115,9 +117,10 @@ class Event:
     data : mapping
         What the text is made of, plain strings and numbers: `reason` of a failed match; `cause` ("kidnapped", "blind
         drive", "gap", "failed matches", "changing view" or "saved map") and `n_scans` of a lost robot; `cause`
-        ("repeated" or "covered") of a blind laser; `reason` of a contradiction; `after` ("contradiction" or "lost"),
-        `n_scans` since then and `n_consistent` of a recovery; `factor`, `from_node`, `to_node` and `reason` of what the
-        graph could not take in; `target_node`, `source_node` and `reason` of a closure.
+        ("repeated", "covered" or "partly covered") of a blind laser; `reason` of a contradiction; `after`
+        ("contradiction" or "lost"), `n_scans` since then and `n_consistent` of a recovery; `factor`, `from_node`,
+        `to_node` and `reason` of what the graph could not take in; `target_node`, `source_node` and `reason` of a
+        closure.
     """
 
     kind: EventKind

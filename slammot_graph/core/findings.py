@@ -8,6 +8,7 @@ from slammot_graph.core.events import Severity
 
 FindingKind = Literal[
     "no returns",
+    "no-return value",
     "beyond max_range",
     "too few beams",
     "too few returns",

@@ -16,6 +16,10 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 NO_RETURN_FRACTION = 0.97
 """By default a range above this share of `range_max` is a missing return, not a point."""
 
+MAX_MOUNTING_M = 50.0
+"""No robot carries its laser further from its base."""
+MAX_YAW_RAD = 1e3
+
 
 @dataclass(frozen=True, kw_only=True)
 class LaserModel:
@@ -52,6 +56,12 @@ class LaserModel:
         if not 0.0 <= self.range_min < self.range_max:
             raise ConfigError(
                 f"the laser's limits need 0 <= range_min < range_max, not {self.range_min}, {self.range_max}"
+            )
+        x, y, theta = self.T_base_laser
+        if not (abs(theta) <= MAX_YAW_RAD and max(abs(x), abs(y)) <= MAX_MOUNTING_M):
+            raise ConfigError(
+                f"the laser's pose on the robot ({x:.6g}, {y:.6g}, {theta:.6g}) is out of any sense; give x, y [m]"
+                f" within {MAX_MOUNTING_M:g} m and yaw [rad]"
             )
 
     @cached_property

@@ -189,8 +189,11 @@ class ScanStatistics:
             Finding(
                 kind="ranges in millimetres",
                 severity="error",
-                cause=f"ranges look like millimetres: their median, {median:.0f} m, lies beyond what a laser reaches",
-                remedy="divide ranges, range_min and range_max by 1000",
+                cause=(
+                    f"ranges look like millimetres or centimetres: their median, {median:.0f} m, lies beyond"
+                    " what a laser reaches"
+                ),
+                remedy="divide ranges, range_min and range_max by 1000, or by 100",
                 data={"median_range_m": median},
             )
         ]

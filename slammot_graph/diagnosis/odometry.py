@@ -29,6 +29,11 @@ JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.3, 0.5
 """A jump is faster than this, this many times faster than the log mostly is while it moves, and this long."""
 
 
+WRONG_WAY_SHARE, MIN_TURNED_RAD = 0.8, 2.0
+"""Of so much turning at least, this share has the other sign than the laser's where the sign is wrong."""
+TURNS_RAD = 0.02
+"""From scan to scan; smaller turns may have either sign by noise."""
+
 _ROW = struct.Struct("=7d")
 _MOST_IN_MEMORY = 1 << 20
 _UNKNOWN = [math.nan] * 3
@@ -88,11 +93,11 @@ class OdometryStatistics:
         is_still = (table[:, 2] < STILL_M) & (table[:, 3] < STILL_RAD)
         if is_still.all():
             return [_never_moves(self.n_with_odometry)] if has_moved or _gets_far(table).any() else []
-        return [*_standstills(table, is_still), *_leaps(table, is_still), *_jumps(table)]
+        return [*_standstills(table, is_still), *_leaps(table, is_still), *_jumps(table), *_wrong_way(table)]
 
     @property
     def _table(self) -> FloatArray:
-        """(k, 7) scan number, time step [s], told distance [m] and turn [rad], the estimate's step (x, y, theta)."""
+        """(k, 8) scan, time step [s], told distance [m] and turn [rad], estimate's step (x, y, theta), signed turn."""
         poses = np.frombuffer(self.spool.since(0), dtype=np.float64).reshape(-1, 7)
         before, after = poses[:-1], poses[1:]
         has_both = np.isfinite(before[:, 1]) & np.isfinite(after[:, 1])
@@ -102,7 +107,8 @@ class OdometryStatistics:
         moved[:, 2] = se2.wrap_angle(moved[:, 2])
         scans = 1.0 + np.flatnonzero(has_both)
         distance_m, turn_rad = np.hypot(told[:, 0], told[:, 1]), np.abs(told[:, 2])
-        return np.column_stack([scans, after[:, 0] - before[:, 0], distance_m, turn_rad, moved])
+        step_s = after[:, 0] - before[:, 0]
+        return np.column_stack([scans, step_s, distance_m, turn_rad, moved, told[:, 2]])
 
 
 def n_times(n: int) -> str:
@@ -138,7 +144,7 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 def _gets_far(table: FloatArray) -> BoolArray:
     """Whether the estimate got far over each row's end since the first row."""
-    steps = np.cumsum(table[:, 4:], axis=0)
+    steps = np.cumsum(table[:, 4:7], axis=0)
     far: BoolArray = (np.hypot(steps[:, 0], steps[:, 1]) > MOVES_M) | (np.abs(steps[:, 2]) > MOVES_RAD)
     return far
 
@@ -232,5 +238,32 @@ def _jumps(table: FloatArray) -> list[Finding]:
             ),
             remedy="look at what resets or corrects the odometry; take that of the wheels, not one fused with a map",
             data={"n_jumps": len(scans), "largest_m": largest_m, "scans": scans[:20].tolist()},
+        )
+    ]
+
+
+def _wrong_way(table: FloatArray) -> list[Finding]:
+    """Turns that have mostly the other sign than those of the laser."""
+    told, moved = table[:, 7], table[:, 6]
+    is_turn = (np.abs(told) > TURNS_RAD) & (np.abs(told) < JUMP_RAD) & (np.abs(moved) > TURNS_RAD)
+    turned_rad = float(np.abs(told[is_turn]).sum())
+    if turned_rad < MIN_TURNED_RAD:
+        return []
+    share = float(np.abs(told[is_turn & (told * moved < 0.0)]).sum()) / turned_rad
+    if share < WRONG_WAY_SHARE:
+        return []
+    return [
+        Finding(
+            kind="odometry turns the wrong way",
+            severity="warning",
+            cause=(
+                "the odometry contradicts the laser: it turns the opposite way, or the laser's angles do (mounted"
+                f" upside down, or in reverse order), in {100.0 * share:.0f}% of {math.degrees(turned_rad):.0f} degrees"
+            ),
+            remedy=(
+                "look which of them is wrong: where it is the laser the whole map is mirrored, give its"
+                " --laser-pose with flip; else mend the sign of the odometry's heading, or run with --odometry off"
+            ),
+            data={"share": share, "turned_rad": turned_rad},
         )
     ]

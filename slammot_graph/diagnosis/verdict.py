@@ -31,6 +31,7 @@ MEASURED_LATE = "the run has corrected for it"
 _OF_WARNINGS: Sequence[tuple[FindingKind, str]] = (
     ("frames", r"two (frames|lasers)|frames of|other frame"),
     ("beam times", r"time_increment"),
+    ("no-return value", r"for no return"),
     ("stamps", r"(all|equal|same|identical) stamps|stamps? (are|is|never|do|does)\b|wrap"),
     ("no odometry", r"without odometry|laser alone|no odometry"),
     ("odometry never moves", r"static transform|never (moves|changes)"),
@@ -58,7 +59,8 @@ def diagnose(
     found += statistics.odometry.findings(has_moved=scans.has_moved and not is_blind)
     kinds = {finding.kind for finding in found}
     if report.has_odometry and not is_blind and not kinds & {"no odometry", "odometry never moves"}:
-        found += _of_report(report, is_held="odometry leaps" in kinds)
+        of_report = _of_report(report, is_held="odometry leaps" in kinds)
+        found += [finding for finding in of_report if finding.kind not in kinds]
     if not is_blind:
         # where it never moves, that is the contradiction
         may_contradict = report.has_odometry and "odometry never moves" not in kinds
@@ -100,15 +102,17 @@ def _of_blindness(blind: Sequence[tuple[int, str]]) -> list[Finding]:
             "look at its driver and its cable",
         ),
         ("covered", "something covered the laser", "look at what was before it"),
+        ("partly covered", "something covered most beams of the laser", "look at what was before it"),
     ):
         scans = [scan for scan, told in blind if told == cause]
+        left = "what the others see" if cause == "partly covered" else "the odometry alone"
         if scans:
             found.append(
                 Finding(
                     kind="laser blind",
                     severity="warning",
                     cause=(
-                        f"{what} ({n_times(len(scans))}, first at scan {scans[0]}): the odometry alone tells of the way"
+                        f"{what} ({n_times(len(scans))}, first at scan {scans[0]}): {left} tells of the way"
                     ),
                     remedy=remedy,
                     data={"cause": cause, "n_times": len(scans), "first": scans[0]},

@@ -5,6 +5,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+from slammot_graph.core.scan import MAX_MOUNTING_M
 from slammot_graph.logs.bag_messages import Bag, BagMessage, frame_name, transforms
 from slammot_graph.logs.bag_topics import TF_TYPES
 from slammot_graph.logs.mounting import (
@@ -40,9 +41,12 @@ def find_mounting(
     upside down unless that is given too.
     """
     tree = frame_tree(bag, base_frames[0], laser_frame)
+    told = "tf does not tell where"
     for base_frame in base_frames:
         T_base_laser = tree.between(base_frame, laser_frame)
-        if T_base_laser is not None:
+        if T_base_laser is not None and abs(T_base_laser[:2, 3]).max() > MAX_MOUNTING_M:
+            told = f"tf tells out of any sense ({abs(T_base_laser[:2, 3]).max():.4g} m away) where"
+        elif T_base_laser is not None:
             mounting = mounting_from_transform(T_base_laser)
             warnings = _tilt_warnings(mounting, laser_frame)
             if given is None:
@@ -54,7 +58,7 @@ def find_mounting(
         mounting = Mounting(T_base_laser=given.T_base_laser, is_upside_down=bool(given.is_upside_down))
         return FoundMounting(mounting=mounting, told_by="given")
     warning = (
-        f"tf does not tell where frame {laser_frame or '(unnamed)'} sits on {base_frames[0]};"
+        f"{told} frame {laser_frame or '(unnamed)'} sits on {base_frames[0]};"
         " the laser is taken to sit on the base, unless --laser-pose says where"
     )
     nowhere = Mounting(T_base_laser=(0.0, 0.0, 0.0))
@@ -76,8 +80,9 @@ def _add_transforms(tree: FrameTree, message: BagMessage) -> None:
     for transform in transforms(message):
         rotation, translation = transform.transform.rotation, transform.transform.translation
         quaternion = (rotation.x, rotation.y, rotation.z, rotation.w)
-        if math.isfinite(norm := math.hypot(*quaternion)) and norm > 0.0:
-            matrix = transform_matrix((translation.x, translation.y, translation.z), quaternion)
+        place = (translation.x, translation.y, translation.z)
+        if math.isfinite(norm := math.hypot(*quaternion)) and norm > 0.0 and all(map(math.isfinite, place)):
+            matrix = transform_matrix(place, quaternion)
             tree.add(frame_name(transform.header.frame_id), frame_name(transform.child_frame_id), matrix)
 
 

@@ -15,6 +15,7 @@ from slammot_graph.core.log_info import SourceInfo
 from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.scan import LaserModel, Scan, ScanTruth
 from slammot_graph.core.types import FloatArray
+from slammot_graph.logs.no_return_values import NoReturnValues
 from slammot_graph.logs.source import SkippedScan
 
 MAX_STEP_S = 60.0
@@ -85,7 +86,7 @@ class RecordedLog(ABC):
         return self._usable_scans(self.skipped, self.warnings)
 
     def _usable_scans(self, skipped: list[SkippedScan], warnings: list[str]) -> Iterator[Scan]:
-        jumps = _StampJumps()
+        jumps, no_returns = _StampJumps(), NoReturnValues()
         index = 0
         try:
             with closing(self._records()) as records:
@@ -97,14 +98,15 @@ class RecordedLog(ABC):
                     if isinstance(record, SkippedScan):
                         skipped.append(record)
                         continue
-                    if reason := _why_unusable(record):
+                    ranges = no_returns.cleared(record.ranges, record.laser)
+                    if reason := _why_unusable(record, ranges):
                         skipped.append(SkippedScan(place=record.place, reason=reason))
                         continue
                     jumps.see(record.stamp)
                     yield Scan(
                         index=index,
                         stamp=record.stamp,
-                        ranges=record.ranges,
+                        ranges=ranges,
                         laser=record.laser,
                         T_odom_base=record.T_odom_base,
                         truth=record.truth,
@@ -115,15 +117,16 @@ class RecordedLog(ABC):
                     index += 1
         finally:
             warnings.extend(jumps.warnings())
+            warnings.extend(no_returns.warnings())
 
 
-def _why_unusable(record: RawScan) -> str:
+def _why_unusable(record: RawScan, ranges: FloatArray) -> str:
     """Why a record is unusable; empty when it is usable."""
     if not math.isfinite(record.stamp):
         return "its stamp is not finite"
     if record.T_odom_base is not None and not all(map(math.isfinite, record.T_odom_base.tolist())):
         return "its odometry is not finite"
-    if not ((record.ranges > 0.0) & (record.ranges < np.inf)).any():
+    if not ((ranges > 0.0) & (ranges < np.inf)).any():
         return "no beam has a finite, positive range"
     return ""
 

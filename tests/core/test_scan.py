@@ -84,3 +84,13 @@ def test_zero_range_is_never_a_point() -> None:
 def test_impossible_lasers_are_refused(changes: dict[str, object], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         laser(**changes)
+
+
+@pytest.mark.parametrize(
+    "pose", [(np.nan, 0.0, 0.0), (0.0, -120.0, 0.0), (1e200, 0.0, 0.0), (0.0, 0.0, np.inf)]
+)
+def test_a_laser_far_off_its_robot_is_refused(pose: tuple[float, float, float]) -> None:
+    with pytest.raises(ConfigError, match="out of any sense"):
+        LaserModel(
+            angle_min=0.0, angle_increment=0.1, n_beams=3, range_min=0.1, range_max=9.0, T_base_laser=pose
+        )

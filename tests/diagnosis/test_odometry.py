@@ -89,3 +89,18 @@ def test_stamps_that_tell_nothing_are_no_jumps() -> None:
     for T_map_base in steady():
         statistics.add(0.0, T_map_base, T_map_base)
     assert kinds(statistics) == []
+
+
+def turning_path(sign: float = 1.0) -> FloatArray:
+    path = steady()
+    path[:, 2] = sign * np.cumsum(0.05 * np.sin(0.1 * np.arange(N)))
+    return path
+
+
+def test_it_turns_the_wrong_way() -> None:
+    (finding,) = statistics_of(turning_path(-1.0), turning_path()).findings(has_moved=True)
+    assert finding.kind == "odometry turns the wrong way"
+    assert finding.data["share"] > 0.9
+    assert kinds(statistics_of(turning_path(), turning_path())) == []
+    half = np.where(np.arange(N)[:, None] < N // 2, turning_path(), turning_path(-1.0))
+    assert "odometry turns the wrong way" not in kinds(statistics_of(half, turning_path()))

@@ -231,3 +231,11 @@ def test_a_bag_of_2008(tmp_path: Path) -> None:
     path.write_bytes(b"#ROSRECORD V1.2\n" + bytes(100))
     with pytest.raises(InputError, match=r"old\.bag: a bag of version 1\.2.*rosbag fix"):
         open_log(path)
+
+
+@pytest.mark.parametrize("x_m", [np.nan, 120.0, 1e200])
+def test_a_transform_out_of_any_sense_is_not_used(tmp_path: Path, x_m: float) -> None:
+    placed = bf.transform(T0, "base_link", "laser", (x_m, 0.0, 0.0))
+    log = open_log(bf.write_bag(tmp_path, [*scans(), *moving("odom", "base_link"), placed]))
+    assert [x.laser.T_base_laser for x in log] == [(0.0, 0.0, 0.0)] * len(STAMPS)
+    assert any("the laser is taken to sit on the base" in x for x in log.warnings)

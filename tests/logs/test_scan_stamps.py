@@ -56,6 +56,42 @@ def test_a_wrapped_counter_is_unwrapped(unit: str) -> None:
     assert f"2^32 {unit} " in times.warnings[0]
 
 
+@pytest.mark.parametrize("unit", COUNTERS)
+def test_a_signed_counter_is_unwrapped(unit: str) -> None:
+    period_s = COUNTERS[unit]
+    true = 0.5 * period_s + (np.arange(40, dtype=np.float64) - 20.0) * (0.1 if period_s > 10.0 else 0.02)
+    times = mended((true + 0.5 * period_s) % period_s - 0.5 * period_s)
+    np.testing.assert_allclose(np.diff(times.stamps), np.diff(true), atol=1e-5)
+    assert "wrap around once at 2^32" in times.warnings[0]
+
+
+def test_a_counter_of_nanoseconds_is_unwrapped_at_a_low_rate() -> None:
+    true = 0.14 * np.arange(100, dtype=np.float64)
+    found = unwrap(true % COUNTERS["ns"])
+    np.testing.assert_allclose(found.stamps, true, atol=1e-9)
+    assert found.n_wraps == 3
+
+
+@pytest.mark.parametrize(
+    ("unit", "in_a_second"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)]
+)
+@pytest.mark.parametrize(("start", "rate_hz"), [(0.0, 10.0), (1.7e9, 40.0), (100.0, 1.0)])
+def test_stamps_in_other_units_are_turned_into_seconds(
+    unit: str, in_a_second: float, start: float, rate_hz: float
+) -> None:
+    true = start + np.arange(50) / rate_hz
+    times = mended(true * in_a_second)
+    np.testing.assert_allclose(np.diff(times.stamps), 1.0 / rate_hz, atol=1e-5)
+    assert times.warnings == (f"stamps are {unit} by the time between scans; they are turned into seconds",)
+
+
+def test_a_few_long_pauses_tell_no_unit() -> None:
+    stamps = np.arange(40, dtype=np.float64)
+    stamps[20:] += 1e6
+    assert mended(stamps).warnings == ()
+    assert mended(30.0 * np.arange(5)).warnings == ()
+
+
 def test_a_counter_that_went_below_zero_is_unwrapped() -> None:
     true = 0.5 - 0.1 * np.arange(20, dtype=np.float64)
     found = unwrap(np.where(true < 0.0, true + 2.0**32, true))
