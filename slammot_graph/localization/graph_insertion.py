@@ -176,6 +176,14 @@ class GraphInsertion:
                 # a node needs an edge: by the matches, as weak as what is known of a lost robot
                 T_by_matches = se2.between(self.graph.pose(last), T_map_node)
                 self.graph.add_edge("odometry", last, node, T_by_matches, invert(self._config.lost_cov))
+            keyframes.node_errors.add(
+                node,
+                match,
+                self.local_map.keyframes,
+                T_local_base,
+                T_last_node,
+                keyframes.cov_since_node,
+            )
             if self._was_blind and self.closer is not None:
                 self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
             self._was_blind = False
@@ -238,6 +246,15 @@ class GraphInsertion:
     def common_solution(self, nodes: FloatArray) -> FloatArray:
         """Errors (n, 3, 4) of the graph's nodes (n, 3) by what the odometry's errors have in common."""
         return solution_errors(nodes, self.graph.edges, self.keyframes.common_errors.of_factors)
+
+    def covariances(self, graph: PoseGraph, nodes: FloatArray) -> FloatArray:
+        """Covariances (n, 3, 3) of all nodes (n, 3) of a copy of the graph, right perturbation (body frames)."""
+        keyframes = self.keyframes
+        covs = keyframes.node_errors.covariances(nodes, graph.edges, keyframes.common_errors.of_factors)
+        if covs is not None:
+            return covs
+        common = self.common_solution(nodes)
+        return np.asarray(graph.marginals() + common @ np.swapaxes(common, 1, 2))
 
     def search_on(self) -> tuple[ClosureAttempt, ...]:
         """Take the search for the latest component a step further; gives the closures tried."""

@@ -210,10 +210,9 @@ class ScanToMap:
                 T_map_base=nothing, cov_map=np.empty((0, 3, 3)), node_scans=no_nodes, nodes=nothing, edges=()
             )
         graph = self.graph.snapshot()
-        nodes, marginals = graph.poses(), graph.marginals()
-        common = self.insertion.common_solution(nodes)
-        marginals = marginals + common @ np.swapaxes(common, 1, 2)
-        T_map_base, cov_map = self._scan_poses.trajectory(nodes, marginals)
+        nodes = graph.poses()
+        covs = self.insertion.covariances(graph, nodes)
+        T_map_base, cov_map = self._scan_poses.trajectory(nodes, covs)
         return FinalEstimate(
             T_map_base=T_map_base,
             cov_map=cov_map,
