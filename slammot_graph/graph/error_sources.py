@@ -9,6 +9,7 @@ propagated through the matching and then through the weighted least squares, to 
 """
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,9 @@ from slammot_graph.graph.common_errors import N_PARAMETERS
 
 _HELD = 1e8
 _BARELY = 1e-6
+N_NEIGHBOURS = 4
+"""Matches of so many nodes in a row see the same lines, the first and the last of them hardly any."""
+
 _AT_ONCE = 100
 """Nodes whose covariances are solved for at once."""
 
@@ -29,8 +33,9 @@ _AT_ONCE = 100
 class NodeError(NamedTuple):
     """How the error of a node in the local frame comes about; all are right perturbations (body frames).
 
-    The match errs by ``sum(gains[m] error(nodes[m])) + root * noise``, the node by ``share`` of that and by what is left
-    of the odometry's motion from the node before.
+    The match errs by ``sum(gains[m] error(nodes[m])) + root noise + common_root common``, the node by ``share`` of that
+    and by what is left of the odometry's motion from the node before. `noise` is the node's own, `common` a mean over
+    the latest nodes' (times the root of their number): neighbours see the same lines.
 
     Attributes
     ----------
@@ -40,6 +45,8 @@ class NodeError(NamedTuple):
         What an error of each does to the match.
     root : (3, 3) array
         Square root of the covariance of the match's own noise.
+    common_root : (3, 3) array
+        The same of what it shares with its neighbours.
     share : (3, 3) array
         How much of the match's error the node takes on; the rest of it is the odometry's.
     carried : (3, 3) array
@@ -53,6 +60,7 @@ class NodeError(NamedTuple):
     nodes: IntArray
     gains: FloatArray
     root: FloatArray
+    common_root: FloatArray
     share: FloatArray
     carried: FloatArray
     T_last_node: FloatArray
@@ -87,6 +95,7 @@ def solution_covariances(
     common: Mapping[int, FloatArray],
     asked: IntArray,
     odometry_scale: float = 1.0,
+    closure_covs: Mapping[GraphEdge, FloatArray] = MappingProxyType({}),
 ) -> FloatArray:
     """Covariances (m, 3, 3) of nodes that are asked for (m,), right perturbation (body frames).
 
@@ -103,21 +112,26 @@ def solution_covariances(
     asked : (m,) int array
     odometry_scale : float
         The odometry's own noise has this variance, as a share of what `NodeError` and information say.
+    closure_covs : mapping of GraphEdge to (3, 3) array
+        Of the noise of closures whose local maps are rigid; how far these are deformed is added.
     """
     n, odometry = len(nodes), np.sqrt(odometry_scale)
-    # columns of the sources: noise of each match, of each odometry step, of each other edge, common parameters
-    at_steps, at_others = 3 * n, 6 * n
+    # columns of the sources: noise of each match, what neighbours share, each odometry step, each other edge, common
+    at_neighbours, at_steps, at_others = 3 * n, 6 * n, 9 * n
     at_common = at_others + 3 * len(edges)
     drift, local = _Blocks(), _Blocks()
     for node, error in of_nodes.items():
         for other, gain in zip(error.nodes.tolist(), error.gains, strict=True):
             drift.add(3 * node, 3 * other, error.share @ gain)
         local.add(3 * node, 3 * node, error.share @ error.root)
+        for neighbour in _neighbours(node):
+            local.add(3 * node, at_neighbours + 3 * neighbour, error.share @ error.common_root)
         if error.carried.any():
             drift.add(3 * node, 3 * (node - 1), error.carried @ _onto(error.T_last_node))
             local.add(3 * node, at_steps + 3 * node, odometry * error.carried @ error.odometry_root)
             if node in common:
                 local.add(3 * node, at_common, error.carried @ common[node])
+    members = {int(error.nodes[0]): [*error.nodes.tolist(), k] for k, error in of_nodes.items() if len(error.nodes)}
     jacobian, weights, of_local, direct = _Blocks(), _Blocks(), _Blocks(), _Blocks()
     for k, edge in enumerate(edges):
         i, j, row = edge.from_node, edge.to_node, 3 * k
@@ -133,10 +147,17 @@ def solution_covariances(
                 of_local.add(row, 3 * other, gain)
             of_local.add(row, 3 * i, backward)
             direct.add(row, 3 * j, known.root)
+            for neighbour in _neighbours(j):
+                direct.add(row, at_neighbours + 3 * neighbour, known.common_root)
         elif edge.kind == "odometry" and known is not None and i == j - 1:
             direct.add(row, at_steps + 3 * j, odometry * known.odometry_root)
         else:
-            direct.add(row, at_others + row, _root_of_inverse(edge.information))
+            cov = closure_covs.get(edge)
+            root = _root_of_inverse(edge.information) if cov is None else np.linalg.cholesky(cov)
+            direct.add(row, at_others + row, root)
+            if cov is not None:
+                for anchor, sign in ((i, 1.0), (j, -1.0)):
+                    _add_deformation(of_local, row, nodes, members.get(anchor), anchor, j, sign)
     n_rows, n_sources = 3 * len(edges), at_common + N_PARAMETERS
     J, W = jacobian.matrix(n_rows, 3 * n), weights.matrix(n_rows, n_rows)
     Z, D, U = of_local.matrix(n_rows, 3 * n), direct.matrix(n_rows, n_sources), local.matrix(3 * n, n_sources)
@@ -159,6 +180,28 @@ def solution_covariances(
         parts = of_sources.reshape(n_sources, len(some), 3)
         covs[first : first + len(some)] = np.einsum("smi,smj->mij", parts, parts)
     return covs
+
+
+def _neighbours(node: int) -> range:
+    return range(max(node - N_NEIGHBOURS + 1, 0), node + 1)
+
+
+def _add_deformation(
+    of_local: _Blocks,
+    row: int,
+    nodes: FloatArray,
+    members: Sequence[int] | None,
+    anchor: int,
+    node: int,
+    sign: float,
+) -> None:
+    """Add how a local map of these nodes lies to its anchor, in the body frame of a node: the mean of their errors."""
+    if members is None:
+        return
+    for other in members:
+        onto = se2.adjoint(se2.between(nodes[node], nodes[other]))
+        of_local.add(row, 3 * other, sign / len(members) * onto)
+    of_local.add(row, 3 * anchor, -sign * se2.adjoint(se2.between(nodes[node], nodes[anchor])))
 
 
 def _onto(T_last_node: FloatArray) -> FloatArray:

@@ -183,6 +183,7 @@ class GraphInsertion:
                 T_local_base,
                 T_last_node,
                 keyframes.cov_since_node,
+                keyframes.on_node(T_local_base),
             )
             if self._was_blind and self.closer is not None:
                 self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
@@ -250,7 +251,10 @@ class GraphInsertion:
     def covariances(self, graph: PoseGraph, nodes: FloatArray) -> FloatArray:
         """Covariances (n, 3, 3) of all nodes (n, 3) of a copy of the graph, right perturbation (body frames)."""
         keyframes = self.keyframes
-        covs = keyframes.node_errors.covariances(nodes, graph.edges, keyframes.common_errors.of_factors)
+        accepted = () if self.closer is None else self.closer.accepted
+        own = {edge: closure.cov_own for closure, edge in accepted if closure.cov_own is not None}
+        common_errors = keyframes.common_errors.of_factors
+        covs = keyframes.node_errors.covariances(nodes, graph.edges, common_errors, own)
         if covs is not None:
             return covs
         common = self.common_solution(nodes)

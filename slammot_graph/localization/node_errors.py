@@ -1,5 +1,6 @@
 """How the errors of the graph's nodes come about: by their matches, on the points of earlier nodes; see `NodeError`."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,7 +9,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.types import FloatArray
-from slammot_graph.graph.error_sources import NodeError, solution_covariances
+from slammot_graph.graph.error_sources import N_NEIGHBOURS, NodeError, solution_covariances
 from slammot_graph.mapping.local_map import Keyframe
 
 MOST_NODES = 5000
@@ -16,6 +17,9 @@ MOST_NODES = 5000
 
 MOST_ASKED = 1000
 """Of more nodes the covariances are solved for at every second, third, ... one."""
+
+FEW = 10.0
+"""The odometry's covariance counts as so many residuals that are as large as it says."""
 
 _SCALE = np.diag([1.0, 1.0, 0.2])
 """Turns count by what they move at 5 m, where directions are compared."""
@@ -26,6 +30,7 @@ class NodeErrors:
 
     def __init__(self) -> None:
         self.of_nodes: dict[int, NodeError] | None = {}
+        self._sum_squares = self._n = FEW
 
     def add(
         self,
@@ -35,26 +40,38 @@ class NodeErrors:
         T_local_node: FloatArray,
         T_last_node: FloatArray,
         cov_odometry: FloatArray,
+        T_by_matches: FloatArray,
     ) -> None:
-        """Add a node that was matched (or not) onto a local map of these keyframes, by its poses (3,) and odometry."""
+        """Add a node, see `node_error`; `T_by_matches` (3,) is what the matches say of the motion from the one before."""
         if self.of_nodes is None or not keyframes:
             return
-        self.of_nodes[node] = node_error(match, keyframes, T_local_node, T_last_node, cov_odometry)
+        self.of_nodes[node] = error = node_error(match, keyframes, T_local_node, T_last_node, cov_odometry)
+        # where the matches tell of the motion the odometry's noise shows; where they do not, both agree
+        told = np.eye(3) - error.carried
+        residual = se2.log(se2.between(T_last_node, T_by_matches))
+        self._sum_squares += float(residual @ np.linalg.solve(cov_odometry, residual))
+        self._n += float(np.trace(told @ told))
         if len(self.of_nodes) > MOST_NODES:
             self.of_nodes = None
 
     def covariances(
-        self, nodes: FloatArray, edges: Sequence[GraphEdge], common: dict[int, FloatArray]
+        self,
+        nodes: FloatArray,
+        edges: Sequence[GraphEdge],
+        common: dict[int, FloatArray],
+        closure_covs: dict[GraphEdge, FloatArray],
     ) -> FloatArray | None:
         """Covariances (n, 3, 3) of all nodes (n, 3) as optimised, body frames; None where their sources are forgotten.
 
-        `common` are the errors (3, 4) of the odometry's factors by what all have in common.
+        `common` are the errors (3, 4) of the odometry's factors by what all have in common, `closure_covs` (3, 3) those
+        of closures between rigid local maps.
         """
         if self.of_nodes is None:
             return None
         step = -(-len(nodes) // MOST_ASKED)
         asked = np.arange(0, len(nodes), step)
-        covs = solution_covariances(nodes, edges, self.of_nodes, common, asked)
+        scale = self._sum_squares / self._n
+        covs = solution_covariances(nodes, edges, self.of_nodes, common, asked, scale, closure_covs)
         latest = np.arange(len(nodes)) // step
         A = se2.adjoint(se2.inverse(se2.between(nodes[asked[latest]], nodes)))
         return np.asarray(A @ covs[latest] @ np.swapaxes(A, 1, 2))
@@ -83,11 +100,10 @@ def node_error(
     cov_odometry : (3, 3) array
         Of that, body frame.
     """
-    values, vectors = np.linalg.eigh(cov_odometry)
-    odometry_root = vectors * np.sqrt(np.maximum(values, 0.0))
+    odometry_root = _root(cov_odometry)
     nothing = np.zeros((3, 3))
     unmatched = NodeError(
-        np.empty(0, dtype=np.int64), nothing[:0], nothing, nothing, np.eye(3), T_last_node, odometry_root
+        np.empty(0, dtype=np.int64), np.zeros((0, 3, 3)), nothing, nothing, nothing, np.eye(3), T_last_node, odometry_root
     )
     if match is None or match.status == "failed" or match.map_scatter is None:
         return unmatched
@@ -107,14 +123,25 @@ def node_error(
         owners.append(latest)
     T_owners = np.array([owner.T_local_base for owner in owners])
     onto_node = se2.adjoint(se2.inverse(se2.between(T_owners, T_local_node)))
-    root = np.zeros((3, 3))
-    root[:, : told.shape[1]] = told / np.sqrt(values[is_told])
+    cov = (told / values[is_told]) @ told.T
+    onto_told = told @ np.linalg.pinv(told)
+    cov_common = onto_told @ match.cov_correlated @ onto_told.T
+    # in the local frame's axes what neighbours share is the same, however each is turned
+    turned = np.eye(3)
+    turned[:2, :2] = se2.rotation(T_local_node[2]).T
     return NodeError(
         nodes=np.array([owner.node for owner in owners]),
         gains=solved @ match.map_scatter @ onto_node,
-        root=root,
+        root=_root(cov - cov_common),
+        common_root=_root(cov_common) @ turned / math.sqrt(N_NEIGHBOURS),
         share=share,
         carried=np.eye(3) - share @ solved @ normal,
         T_last_node=T_last_node,
         odometry_root=odometry_root,
     )
+
+
+def _root(cov: FloatArray) -> FloatArray:
+    """Symmetric square root of a covariance (3, 3)."""
+    values, vectors = np.linalg.eigh(0.5 * (cov + cov.T))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
