@@ -131,7 +131,9 @@ def solution_covariances(
             local.add(3 * node, at_steps + 3 * node, odometry * error.carried @ error.odometry_root)
             if node in common:
                 local.add(3 * node, at_common, error.carried @ common[node])
-    members = {int(error.nodes[0]): [*error.nodes.tolist(), k] for k, error in of_nodes.items() if len(error.nodes)}
+    members = {
+        int(error.nodes[0]): [*error.nodes.tolist(), k] for k, error in of_nodes.items() if len(error.nodes)
+    }
     jacobian, weights, of_local, direct = _Blocks(), _Blocks(), _Blocks(), _Blocks()
     for k, edge in enumerate(edges):
         i, j, row = edge.from_node, edge.to_node, 3 * k
@@ -153,7 +155,11 @@ def solution_covariances(
             direct.add(row, at_steps + 3 * j, odometry * known.odometry_root)
         else:
             cov = closure_covs.get(edge)
-            root = _root_of_inverse(edge.information) if cov is None else np.linalg.cholesky(cov)
+            if cov is None:
+                root = _root_of_inverse(edge.information)
+            else:
+                residual = se2.log(se2.between(edge.T_from_to, se2.between(nodes[i], nodes[j])))
+                root = np.linalg.cholesky(_widened(cov, residual, edge.information))
             direct.add(row, at_others + row, root)
             if cov is not None:
                 for anchor, sign in ((i, 1.0), (j, -1.0)):
@@ -180,6 +186,17 @@ def solution_covariances(
         parts = of_sources.reshape(n_sources, len(some), 3)
         covs[first : first + len(some)] = np.einsum("smi,smj->mij", parts, parts)
     return covs
+
+
+def _widened(cov: FloatArray, residual: FloatArray, information: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a closure by what its residual (3,) shows, too, where that is larger than expected.
+
+    The residual stands for the error, as in the heteroscedasticity-consistent covariance of White (1980): the match of
+    two local maps that hardly overlap may be wrong by far more than its noise.
+    """
+    squared = float(residual @ information @ residual)
+    excess = 1.0 - 3.0 / max(squared, 3.0)
+    return np.asarray(cov + excess * np.outer(residual, residual))
 
 
 def _neighbours(node: int) -> range:

@@ -32,6 +32,11 @@ class NodeErrors:
         self.of_nodes: dict[int, NodeError] | None = {}
         self._sum_squares = self._n = FEW
 
+    @property
+    def odometry_scale(self) -> float:
+        """Variance of the odometry's noise against the matches, over what it is said to be."""
+        return self._sum_squares / self._n
+
     def add(
         self,
         node: int,
@@ -70,7 +75,7 @@ class NodeErrors:
             return None
         step = -(-len(nodes) // MOST_ASKED)
         asked = np.arange(0, len(nodes), step)
-        scale = self._sum_squares / self._n
+        scale = self.odometry_scale
         covs = solution_covariances(nodes, edges, self.of_nodes, common, asked, scale, closure_covs)
         latest = np.arange(len(nodes)) // step
         A = se2.adjoint(se2.inverse(se2.between(nodes[asked[latest]], nodes)))
@@ -103,7 +108,14 @@ def node_error(
     odometry_root = _root(cov_odometry)
     nothing = np.zeros((3, 3))
     unmatched = NodeError(
-        np.empty(0, dtype=np.int64), np.zeros((0, 3, 3)), nothing, nothing, nothing, np.eye(3), T_last_node, odometry_root
+        np.empty(0, dtype=np.int64),
+        np.zeros((0, 3, 3)),
+        nothing,
+        nothing,
+        nothing,
+        np.eye(3),
+        T_last_node,
+        odometry_root,
     )
     if match is None or match.status == "failed" or match.map_scatter is None:
         return unmatched
