@@ -8,6 +8,7 @@ errors' sources (the noise of each match and each odometry step, and what all od
 propagated through the matching and then through the weighted least squares, to first order.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
@@ -23,8 +24,8 @@ from slammot_graph.graph.common_errors import N_PARAMETERS
 
 _HELD = 1e8
 _BARELY = 1e-6
-N_NEIGHBOURS = 4
-"""Matches of so many nodes in a row see the same lines, the first and the last of them hardly any."""
+N_NEIGHBOURS = 2
+"""Matches of so many nodes in a row see the same lines."""
 
 _AT_ONCE = 100
 """Nodes whose covariances are solved for at once."""
@@ -88,6 +89,33 @@ class _Blocks:
         return sparse.csc_matrix((np.concatenate(self._values), where), shape=(n_rows, n_columns))
 
 
+class _Columns(NamedTuple):
+    """Where the sources' columns begin: noise of each match, what neighbours share, odometry, other edges, common."""
+
+    n: int
+    n_edges: int
+
+    @property
+    def neighbours(self) -> int:
+        return 3 * self.n
+
+    @property
+    def steps(self) -> int:
+        return 6 * self.n
+
+    @property
+    def others(self) -> int:
+        return 9 * self.n
+
+    @property
+    def common(self) -> int:
+        return 9 * self.n + 3 * self.n_edges
+
+    @property
+    def total(self) -> int:
+        return self.common + N_PARAMETERS
+
+
 def solution_covariances(
     nodes: FloatArray,
     edges: Sequence[GraphEdge],
@@ -115,92 +143,124 @@ def solution_covariances(
     closure_covs : mapping of GraphEdge to (3, 3) array
         Of the noise of closures whose local maps are rigid; how far these are deformed is added.
     """
-    n, odometry = len(nodes), np.sqrt(odometry_scale)
-    # columns of the sources: noise of each match, what neighbours share, each odometry step, each other edge, common
-    at_neighbours, at_steps, at_others = 3 * n, 6 * n, 9 * n
-    at_common = at_others + 3 * len(edges)
-    drift, local = _Blocks(), _Blocks()
-    for node, error in of_nodes.items():
-        for other, gain in zip(error.nodes.tolist(), error.gains, strict=True):
-            drift.add(3 * node, 3 * other, error.share @ gain)
-        local.add(3 * node, 3 * node, error.share @ error.root)
-        for neighbour in _neighbours(node):
-            local.add(3 * node, at_neighbours + 3 * neighbour, error.share @ error.common_root)
-        if error.carried.any():
-            drift.add(3 * node, 3 * (node - 1), error.carried @ _onto(error.T_last_node))
-            local.add(3 * node, at_steps + 3 * node, odometry * error.carried @ error.odometry_root)
-            if node in common:
-                local.add(3 * node, at_common, error.carried @ common[node])
-    members = {
-        int(error.nodes[0]): [*error.nodes.tolist(), k] for k, error in of_nodes.items() if len(error.nodes)
+    n, columns = len(nodes), _Columns(len(nodes), len(edges))
+    of_nodes = {
+        k: e._replace(odometry_root=math.sqrt(odometry_scale) * e.odometry_root) for k, e in of_nodes.items()
     }
-    jacobian, weights, of_local, direct = _Blocks(), _Blocks(), _Blocks(), _Blocks()
-    for k, edge in enumerate(edges):
-        i, j, row = edge.from_node, edge.to_node, 3 * k
-        backward = -se2.adjoint(se2.between(nodes[j], nodes[i]))
-        jacobian.add(row, 3 * i, backward)
-        jacobian.add(row, 3 * j, np.eye(3))
-        weights.add(row, row, edge.information)
-        known = of_nodes.get(j)
-        if edge.kind == "odometry" and j in common:
-            direct.add(row, at_common, common[j])
-        if edge.kind == "match" and known is not None and i in known.nodes:
-            for other, gain in zip(known.nodes.tolist(), known.gains, strict=True):
-                of_local.add(row, 3 * other, gain)
-            of_local.add(row, 3 * i, backward)
-            direct.add(row, 3 * j, known.root)
-            for neighbour in _neighbours(j):
-                direct.add(row, at_neighbours + 3 * neighbour, known.common_root)
-        elif edge.kind == "odometry" and known is not None and i == j - 1:
-            direct.add(row, at_steps + 3 * j, odometry * known.odometry_root)
-        else:
-            cov = closure_covs.get(edge)
-            if cov is None:
-                root = _root_of_inverse(edge.information)
-            else:
-                residual = se2.log(se2.between(edge.T_from_to, se2.between(nodes[i], nodes[j])))
-                root = np.linalg.cholesky(_widened(cov, residual, edge.information))
-            direct.add(row, at_others + row, root)
-            if cov is not None:
-                for anchor, sign in ((i, 1.0), (j, -1.0)):
-                    _add_deformation(of_local, row, nodes, members.get(anchor), anchor, j, sign)
-    n_rows, n_sources = 3 * len(edges), at_common + N_PARAMETERS
-    J, W = jacobian.matrix(n_rows, 3 * n), weights.matrix(n_rows, n_rows)
-    Z, D, U = of_local.matrix(n_rows, 3 * n), direct.matrix(n_rows, n_sources), local.matrix(3 * n, n_sources)
-    WJ = W @ J
+    J, WJ = _linearised(nodes, edges)
     hold = sparse.diags(np.where(np.arange(3 * n) < 3, _HELD, _BARELY))
     solution = splu((J.T @ WJ + hold).tocsc())
-    drift_of = splu(
-        (sparse.identity(3 * n) - drift.matrix(3 * n, 3 * n)).tocsc(),
-        permc_spec="NATURAL",
-        diag_pivot_thresh=0.0,
-    )
+    roots = {}
+    for k, edge in enumerate(edges):
+        cov = closure_covs.get(edge)
+        if cov is not None:
+            known = J[3 * k : 3 * k + 3].toarray()
+            roots[k] = np.linalg.cholesky(_widened(cov, edge, nodes, known @ solution.solve(known.T)))
+    drift, U = _local_errors(of_nodes, common, columns)
+    drift_of = splu(drift, permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    Z, D = _edge_errors(nodes, edges, of_nodes, common, roots, columns)
     covs = np.empty((len(asked), 3, 3))
     for first in range(0, len(asked), _AT_ONCE):
         some = asked[first : first + _AT_ONCE]
-        columns = (3 * some[:, None] + np.arange(3)).ravel()
-        unit = np.zeros((3 * n, len(columns)))
-        unit[columns, np.arange(len(columns))] = 1.0
+        rows = (3 * some[:, None] + np.arange(3)).ravel()
+        unit = np.zeros((3 * n, len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
         of_edges = WJ @ solution.solve(unit)
         of_sources = U.T @ drift_of.solve(np.ascontiguousarray(Z.T @ of_edges), trans="T") + D.T @ of_edges
-        parts = of_sources.reshape(n_sources, len(some), 3)
+        parts = of_sources.reshape(columns.total, len(some), 3)
         covs[first : first + len(some)] = np.einsum("smi,smj->mij", parts, parts)
     return covs
 
 
-def _widened(cov: FloatArray, residual: FloatArray, information: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of a closure by what its residual (3,) shows, too, where that is larger than expected.
+def _linearised(nodes: FloatArray, edges: Sequence[GraphEdge]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Jacobian (3 e, 3 n) of the edges' residuals, and the same weighted by their information."""
+    jacobian, weights = _Blocks(), _Blocks()
+    for k, edge in enumerate(edges):
+        i, j = edge.from_node, edge.to_node
+        jacobian.add(3 * k, 3 * i, -se2.adjoint(se2.between(nodes[j], nodes[i])))
+        jacobian.add(3 * k, 3 * j, np.eye(3))
+        weights.add(3 * k, 3 * k, edge.information)
+    n_rows = 3 * len(edges)
+    J = jacobian.matrix(n_rows, 3 * len(nodes)).tocsr()
+    return J, weights.matrix(n_rows, n_rows).tocsr() @ J
 
-    The residual stands for the error, as in the heteroscedasticity-consistent covariance of White (1980): the match of
-    two local maps that hardly overlap may be wrong by far more than its noise.
+
+def _local_errors(
+    of_nodes: Mapping[int, NodeError], common: Mapping[int, FloatArray], columns: _Columns
+) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
+    """Matrices M and U of the nodes' errors e in the local frame by the sources u: ``M e = U u``."""
+    inherited, sources = _Blocks(), _Blocks()
+    for node, error in of_nodes.items():
+        row = 3 * node
+        for other, gain in zip(error.nodes.tolist(), error.gains, strict=True):
+            inherited.add(row, 3 * other, error.share @ gain)
+        _add_noise(sources, row, node, error, error.share, columns)
+        if error.carried.any():
+            inherited.add(row, row - 3, error.carried @ se2.adjoint(se2.inverse(error.T_last_node)))
+            sources.add(row, columns.steps + row, error.carried @ error.odometry_root)
+            if node in common:
+                sources.add(row, columns.common, error.carried @ common[node])
+    size = 3 * columns.n
+    M = (sparse.identity(size) - inherited.matrix(size, size)).tocsc()
+    return M, sources.matrix(size, columns.total)
+
+
+def _edge_errors(
+    nodes: FloatArray,
+    edges: Sequence[GraphEdge],
+    of_nodes: Mapping[int, NodeError],
+    common: Mapping[int, FloatArray],
+    closure_roots: Mapping[int, FloatArray],
+    columns: _Columns,
+) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
+    """Matrices Z and D of the edges' errors z by the nodes' in the local frame and the sources: ``z = Z e + D u``."""
+    of_local, direct = _Blocks(), _Blocks()
+    members = {int(e.nodes[0]): [*e.nodes.tolist(), k] for k, e in of_nodes.items() if len(e.nodes)}
+    for k, edge in enumerate(edges):
+        i, j, row, known = edge.from_node, edge.to_node, 3 * k, of_nodes.get(edge.to_node)
+        if edge.kind == "odometry" and j in common:
+            direct.add(row, columns.common, common[j])
+        if edge.kind == "match" and known is not None and i in known.nodes:
+            for other, gain in zip(known.nodes.tolist(), known.gains, strict=True):
+                of_local.add(row, 3 * other, gain)
+            of_local.add(row, 3 * i, -se2.adjoint(se2.between(nodes[j], nodes[i])))
+            _add_noise(direct, row, j, known, np.eye(3), columns)
+        elif edge.kind == "odometry" and known is not None and i == j - 1:
+            direct.add(row, columns.steps + 3 * j, known.odometry_root)
+        elif k in closure_roots:
+            direct.add(row, columns.others + row, closure_roots[k])
+            _add_deformation(of_local, row, nodes, members.get(i), i, j, 1.0)
+            _add_deformation(of_local, row, nodes, members.get(j), j, j, -1.0)
+        else:
+            direct.add(row, columns.others + row, _root_of_inverse(edge.information))
+    n_rows = 3 * len(edges)
+    return of_local.matrix(n_rows, 3 * columns.n), direct.matrix(n_rows, columns.total)
+
+
+def _add_noise(
+    sources: _Blocks, row: int, node: int, error: NodeError, share: FloatArray, columns: _Columns
+) -> None:
+    """Add a share (3, 3) of a match's own noise, and of what it shares with its neighbours."""
+    sources.add(row, 3 * node, share @ error.root)
+    for neighbour in range(max(node - N_NEIGHBOURS + 1, 0), node + 1):
+        sources.add(row, columns.neighbours + 3 * neighbour, share @ error.common_root)
+
+
+def _widened(cov: FloatArray, edge: GraphEdge, nodes: FloatArray, of_solution: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a closure by what it is off the solution without it, too, where that is unexpected.
+
+    That stands for its error, as in the heteroscedasticity-consistent covariance of MacKinnon and White (1985): the
+    match of two local maps that hardly overlap may be wrong by far more than its noise. `of_solution` (3, 3) is the
+    covariance of the solution's relative pose, as the graph has it.
     """
-    squared = float(residual @ information @ residual)
-    excess = 1.0 - 3.0 / max(squared, 3.0)
-    return np.asarray(cov + excess * np.outer(residual, residual))
-
-
-def _neighbours(node: int) -> range:
-    return range(max(node - N_NEIGHBOURS + 1, 0), node + 1)
+    residual = se2.log(se2.between(edge.T_from_to, se2.between(nodes[edge.from_node], nodes[edge.to_node])))
+    left = np.eye(3) - of_solution @ edge.information
+    try:
+        error = np.linalg.solve(left, residual)  # of the solution without it
+    except np.linalg.LinAlgError:
+        return cov  # nothing else ties these nodes
+    squared = float(residual @ edge.information @ error)
+    return np.asarray(cov + (1.0 - 3.0 / max(squared, 3.0)) * np.outer(error, error))
 
 
 def _add_deformation(
@@ -219,11 +279,6 @@ def _add_deformation(
         onto = se2.adjoint(se2.between(nodes[node], nodes[other]))
         of_local.add(row, 3 * other, sign / len(members) * onto)
     of_local.add(row, 3 * anchor, -sign * se2.adjoint(se2.between(nodes[node], nodes[anchor])))
-
-
-def _onto(T_last_node: FloatArray) -> FloatArray:
-    """(3, 3) what an error of the node before is in the body frame of the next one."""
-    return se2.adjoint(se2.inverse(T_last_node))
 
 
 def _root_of_inverse(information: FloatArray) -> FloatArray:

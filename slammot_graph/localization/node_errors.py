@@ -47,7 +47,7 @@ class NodeErrors:
         cov_odometry: FloatArray,
         T_by_matches: FloatArray,
     ) -> None:
-        """Add a node, see `node_error`; `T_by_matches` (3,) is what the matches say of the motion from the one before."""
+        """Add a node, see `node_error`; `T_by_matches` (3,) is its motion from the one before by the matches."""
         if self.of_nodes is None or not keyframes:
             return
         self.of_nodes[node] = error = node_error(match, keyframes, T_local_node, T_last_node, cov_odometry)
