@@ -150,14 +150,15 @@ def solution_covariances(
     J, WJ = _linearised(nodes, edges)
     hold = sparse.diags(np.where(np.arange(3 * n) < 3, _HELD, _BARELY))
     solution = splu((J.T @ WJ + hold).tocsc())
-    roots = {}
+    roots: dict[int, FloatArray] = {}
     for k, edge in enumerate(edges):
         cov = closure_covs.get(edge)
         if cov is not None:
             known = J[3 * k : 3 * k + 3].toarray()
-            roots[k] = np.linalg.cholesky(_widened(cov, edge, nodes, known @ solution.solve(known.T)))
+            widened = _widened(cov, edge, nodes, known @ solution.solve(known.T))
+            roots[k] = np.asarray(np.linalg.cholesky(widened))
     drift, U = _local_errors(of_nodes, common, columns)
-    drift_of = splu(drift, permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    drift_of = splu(drift.T.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
     Z, D = _edge_errors(nodes, edges, of_nodes, common, roots, columns)
     covs = np.empty((len(asked), 3, 3))
     for first in range(0, len(asked), _AT_ONCE):
@@ -166,7 +167,7 @@ def solution_covariances(
         unit = np.zeros((3 * n, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         of_edges = WJ @ solution.solve(unit)
-        of_sources = U.T @ drift_of.solve(np.ascontiguousarray(Z.T @ of_edges), trans="T") + D.T @ of_edges
+        of_sources = U.T @ drift_of.solve(np.ascontiguousarray(Z.T @ of_edges)) + D.T @ of_edges
         parts = of_sources.reshape(columns.total, len(some), 3)
         covs[first : first + len(some)] = np.einsum("smi,smj->mij", parts, parts)
     return covs

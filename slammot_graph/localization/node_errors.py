@@ -128,7 +128,7 @@ def node_error(
     except np.linalg.LinAlgError:
         return unmatched
     gain = cov_odometry @ match.hessian_information
-    share = np.linalg.solve(np.eye(3) + gain, gain)
+    share = np.asarray(np.linalg.solve(np.eye(3) + gain, gain))
     owners, latest = [], keyframes[0]
     for keyframe in keyframes:
         latest = keyframe if keyframe.node >= 0 else latest

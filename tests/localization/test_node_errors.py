@@ -5,6 +5,7 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
+from slammot_graph.graph.error_sources import N_NEIGHBOURS
 from slammot_graph.localization import node_errors
 from slammot_graph.localization.node_errors import FEW, NodeErrors, node_error
 from slammot_graph.mapping.local_map import Keyframe
@@ -64,7 +65,7 @@ def test_an_error_of_the_whole_local_frame_is_one_of_the_node(match: object) -> 
 
 def test_noise_is_the_matchs_and_a_part_of_it_is_shared() -> None:
     error = node_error(MATCH, KEYFRAMES, T_NODE, T_LAST_NODE, COV_ODOMETRY)
-    shared = node_errors.N_NEIGHBOURS * error.common_root @ error.common_root.T
+    shared = N_NEIGHBOURS * error.common_root @ error.common_root.T
     np.testing.assert_allclose(shared, MATCH.cov_correlated, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(error.root @ error.root.T + shared, MATCH.cov, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(error.odometry_root @ error.odometry_root.T, COV_ODOMETRY, atol=1e-15)
