@@ -15,7 +15,7 @@ from slammot_graph.mapping.local_map import Keyframe
 MOST_NODES = 5000
 """Of a longer run (about 2 kB a node) the sources are forgotten; its covariances are the graph's own, cautious."""
 
-MOST_ASKED = 1000
+MOST_ASKED = 500
 """Of more nodes the covariances are solved for at every second, third, ... one."""
 
 FEW = 10.0
