@@ -69,24 +69,23 @@ class NodeError(NamedTuple):
 
 
 class _Blocks:
-    """A sparse matrix, put together of dense blocks."""
+    """A sparse matrix, put together of dense blocks of three rows."""
 
     def __init__(self) -> None:
-        self._rows = list[IntArray]()
-        self._columns = list[IntArray]()
-        self._values = list[FloatArray]()
+        self._of_width: dict[int, list[tuple[int, int, FloatArray]]] = {}
 
     def add(self, row: int, column: int, block: FloatArray) -> None:
-        rows, columns = np.indices(block.shape)
-        self._rows.append((row + rows).ravel())
-        self._columns.append((column + columns).ravel())
-        self._values.append(block.ravel())
+        self._of_width.setdefault(block.shape[1], []).append((row, column, block))
 
     def matrix(self, n_rows: int, n_columns: int) -> sparse.csc_matrix:
-        if not self._rows:
-            return sparse.csc_matrix((n_rows, n_columns))
-        where = np.concatenate(self._rows), np.concatenate(self._columns)
-        return sparse.csc_matrix((np.concatenate(self._values), where), shape=(n_rows, n_columns))
+        whole = sparse.csc_matrix((n_rows, n_columns))
+        for width, added in self._of_width.items():
+            first_row, first_column, blocks = (np.array(part) for part in zip(*added, strict=True))
+            rows = np.broadcast_to(first_row[:, None, None] + np.arange(3)[:, None], blocks.shape)
+            columns = np.broadcast_to(first_column[:, None, None] + np.arange(width), blocks.shape)
+            where = rows.ravel(), columns.ravel()
+            whole = whole + sparse.csc_matrix((blocks.ravel(), where), shape=(n_rows, n_columns))
+        return whole
 
 
 class _Columns(NamedTuple):
