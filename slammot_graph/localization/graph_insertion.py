@@ -180,6 +180,15 @@ class GraphInsertion:
                 # a node needs an edge: by the matches, as weak as what is known of a lost robot
                 T_by_matches = se2.between(self.graph.pose(last), T_map_node)
                 self.graph.add_edge("odometry", last, node, T_by_matches, invert(self._config.lost_cov))
+            keyframes.node_errors.add(
+                node,
+                match,
+                self.local_map.keyframes,
+                T_local_base,
+                T_last_node,
+                keyframes.cov_since_node,
+                keyframes.on_node(T_local_base),
+            )
             if self._was_blind and self.closer is not None:
                 self.closer.blind_drives.append((node, keyframes.cov_since_node.copy()))
             self._was_blind = False
@@ -246,11 +255,24 @@ class GraphInsertion:
         return solution_errors(nodes, self.graph.edges, self.keyframes.common_errors.of_factors, first_nodes)
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
-        """Optimised poses (n, 3) of all nodes and their covariances (n, 3, 3) in the map, body frame; by a copy."""
+        """Optimised poses (n, 3) of all nodes and their covariances (n, 3, 3) in the map, body frames; by a copy.
+
+        By the sources of the errors, where they are known: of a saved map they are not.
+        """
         graph = self.graph.snapshot()
         nodes = graph.poses()
-        common = self.common_solution(nodes)
-        return nodes, graph.marginals() + common @ np.swapaxes(common, 1, 2)
+        covs = self._covariances_by_sources(graph, nodes) if self._saved is None else None
+        if covs is None:
+            common = self.common_solution(nodes)
+            covs = np.asarray(graph.marginals() + common @ np.swapaxes(common, 1, 2))
+        return nodes, covs
+
+    def _covariances_by_sources(self, graph: PoseGraph, nodes: FloatArray) -> FloatArray | None:
+        keyframes = self.keyframes
+        accepted = () if self.closer is None else self.closer.accepted
+        own = {edge: closure.cov_own for closure, edge in accepted if closure.cov_own is not None}
+        common_errors = keyframes.common_errors.of_factors
+        return keyframes.node_errors.covariances(nodes, graph.edges, common_errors, own)
 
     def search_on(self) -> tuple[ClosureAttempt, ...]:
         """Take the search for the latest component a step further; gives the closures tried."""

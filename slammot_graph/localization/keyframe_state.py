@@ -7,6 +7,7 @@ from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization.base import FIRST_COV, fuse
 from slammot_graph.localization.common_errors import CommonErrors
+from slammot_graph.localization.node_errors import NodeErrors
 
 
 class KeyframeState:
@@ -21,6 +22,8 @@ class KeyframeState:
         The local frame in the map, by the optimised pose of a node.
     common_errors : CommonErrors
         What the odometry's errors have in common has done to the nodes.
+    node_errors : NodeErrors
+        Where the errors of the nodes come from.
     cov_since_node : (3, 3) array
         Of the odometry's motion from the node to the keyframe.
     cov_keyframe : (3, 3) array
@@ -33,6 +36,7 @@ class KeyframeState:
         self.T_odom_node: FloatArray = se2.IDENTITY
         self.T_local_node: FloatArray = se2.IDENTITY
         self.common_errors = CommonErrors()
+        self.node_errors = NodeErrors()
         self.T_map_local: FloatArray = se2.IDENTITY
         self.cov_since_node: FloatArray = np.zeros((3, 3))
         self.cov_keyframe: FloatArray = FIRST_COV

@@ -17,6 +17,8 @@ class Closure:
     T_target_source : (3,) array
     cov, information : (3, 3) array
         Right perturbation; no information in directions that the match does not determine.
+    cov_own : (3, 3) array or None
+        Of the match's own noise, both local maps taken for rigid; None: as `cov`.
     overlap : float
         Share of the source's points that found a partner.
     """
@@ -27,6 +29,7 @@ class Closure:
     cov: FloatArray
     information: FloatArray
     overlap: float
+    cov_own: FloatArray | None = None
 
     def attempt(self, status: ClosureStatus, reason: str) -> ClosureAttempt:
         """What became of it."""

@@ -135,6 +135,7 @@ class Verifier:
             cov=covariance_of(match.graph_information),
             information=match.graph_information,
             overlap=overlap,
+            cov_own=match.cov,
         )
 
     def _search_points(self, source: Submap, window: SearchWindow) -> FloatArray:

@@ -89,7 +89,7 @@ def test_a_few_long_pauses_tell_no_unit() -> None:
     stamps = np.arange(40, dtype=np.float64)
     stamps[20:] += 1e6
     assert mended(stamps).warnings == ()
-    assert mended(30.0 * np.arange(5)).warnings == ()
+    assert mended(30.0 * np.arange(5, dtype=np.float64)).warnings == ()
 
 
 def test_a_counter_that_went_below_zero_is_unwrapped() -> None:
