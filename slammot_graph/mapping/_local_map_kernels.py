@@ -10,6 +10,12 @@ from slammot_graph.core.types import BoolArray, FloatArray
 LINE_FIRST_M2 = 0.04
 """A point without a normal takes a cell from one with a normal only if it is so much nearer [m^2]."""
 
+NOISE_REACH_M, LEAST_TOLD = 0.2, 0.25
+"""Lines up to this far on either side tell the noise of the ranges, at no smaller squared cosine to their normal."""
+
+N_SIGMA = 3.0
+"""A line takes in a neighbour unless the squared residuals are more than their noise explains (chi-square)."""
+
 
 @kernel
 def estimate_normals(
@@ -20,68 +26,157 @@ def estimate_normals(
     max_gap: float,
     max_gap_slope: float,
     max_thickness: float,
+    max_std: float,
     out: FloatArray,
 ) -> None:
     """Fill `out` (n, 2) with unit normals from neighbouring beams, towards the laser; (0, 0) on no line.
 
     The neighbours of a beam are up to `half_window` member beams on either side, as long as each is within
     `max_gap` [m] + `max_gap_slope` times the range of the one before; the points must lie within `max_thickness`
-    [m] of their line.
+    [m] of their line. Of a wall close by so many beams see a few centimetres, and their noise turns the line: where its
+    direction is not known to `max_std` [rad] there are more neighbours, as long as they lie on the line as well.
     """
     n = points.shape[0]
+    ends = np.empty((n, 2), dtype=np.int64)
+    sums = np.zeros((n, 5))
+    variances = np.empty(n)
+    n_told = 0
     for k in range(n):
         out[k, 0] = 0.0
         out[k, 1] = 0.0
         if not is_member[k]:
             continue
-        gap = max_gap + max_gap_slope * math.sqrt(points[k, 0] ** 2 + points[k, 1] ** 2)
-        gap2 = gap * gap
-        sx = points[k, 0]
-        sy = points[k, 1]
+        gap2 = _gap2(points, k, max_gap, max_gap_slope)
         lo = k
-        while lo > 0 and k - lo < half_window and is_member[lo - 1]:
-            dx = points[lo - 1, 0] - points[lo, 0]
-            dy = points[lo - 1, 1] - points[lo, 1]
-            if dx * dx + dy * dy > gap2:
-                break
+        while k - lo < half_window and _is_next(points, is_member, lo, lo - 1, gap2):
             lo -= 1
-            sx += points[lo, 0]
-            sy += points[lo, 1]
+            _add_point(points, k, lo, 1.0, sums[k])
         hi = k
-        while hi < n - 1 and hi - k < half_window and is_member[hi + 1]:
-            dx = points[hi + 1, 0] - points[hi, 0]
-            dy = points[hi + 1, 1] - points[hi, 1]
-            if dx * dx + dy * dy > gap2:
-                break
+        while hi - k < half_window and _is_next(points, is_member, hi, hi + 1, gap2):
             hi += 1
-            sx += points[hi, 0]
-            sy += points[hi, 1]
+            _add_point(points, k, hi, 1.0, sums[k])
+        ends[k, 0] = lo
+        ends[k, 1] = hi
+        count = hi - lo + 1
+        variance = _range_variance(points, is_member, k, lo, hi, gap2, sums[k])
+        if variance >= 0.0:
+            variances[n_told] = variance
+            n_told += 1
+    noise2 = min(np.median(variances[:n_told]), max_thickness * max_thickness) if n_told > 0 else 0.0
+    for k in range(n):
+        if not is_member[k]:
+            continue
+        lo = ends[k, 0]
+        hi = ends[k, 1]
         count = hi - lo + 1
         if count < 3:
             _grazed_normal(points, is_member, k, max_thickness, out)
             _turn_to(laser, points, k, out)
             continue
-        mx = sx / count
-        my = sy / count
-        xx = 0.0
-        xy = 0.0
-        yy = 0.0
-        for m in range(lo, hi + 1):
-            dx = points[m, 0] - mx
-            dy = points[m, 1] - my
-            xx += dx * dx
-            xy += dx * dy
-            yy += dy * dy
-        half_trace = 0.5 * (xx + yy)
-        root = math.sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 0.0))
-        smallest = half_trace - root
-        if smallest / count > max_thickness * max_thickness or root < 1e-9:
+        smallest, largest, angle = _line(sums[k], count)
+        if smallest > count * max_thickness * max_thickness or largest - smallest < 2e-9:
             continue
-        # direction of the line: eigenvector of the larger eigenvalue
-        angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+        gap2 = _gap2(points, k, max_gap, max_gap_slope)
+        own2 = max(noise2, smallest / (count - 2))
+        grows_down = grows_up = True
+        while (grows_down or grows_up) and max(noise2, smallest / (count - 2)) > max_std * max_std * largest:
+            for side in range(2):
+                if not (grows_up if side else grows_down):
+                    continue
+                end, new = (hi, hi + 1) if side else (lo, lo - 1)
+                fits = _is_next(points, is_member, end, new, gap2)
+                if fits:
+                    _add_point(points, k, new, 1.0, sums[k])
+                    grown = _line(sums[k], count + 1)
+                    fits = grown[0] <= own2 * (count - 1 + N_SIGMA * math.sqrt(2.0 * (count - 1)))
+                    fits = fits and grown[0] <= (count + 1) * max_thickness * max_thickness
+                    if fits:
+                        smallest, largest, angle = grown
+                        count += 1
+                    else:
+                        _add_point(points, k, new, -1.0, sums[k])
+                if side:
+                    grows_up = fits
+                    hi += fits
+                else:
+                    grows_down = fits
+                    lo -= fits
         out[k, 0] = -math.sin(angle)
         out[k, 1] = math.cos(angle)
         _turn_to(laser, points, k, out)
+
+
+@kernel
+def _range_variance(
+    points: FloatArray, is_member: BoolArray, k: int, lo: int, hi: int, gap2: float, sums: FloatArray
+) -> float:
+    """Variance of the ranges about the line through the neighbours of point `k`, and all within `NOISE_REACH_M`.
+
+    A few ranges that were rounded to the same value show no noise, and walls at grazing angles little: -1 there.
+    """
+    whole = sums.copy()
+    for side in range(2):
+        step = 1 if side else -1
+        end = hi if side else lo
+        while _is_next(points, is_member, end, end + step, gap2):
+            end += step
+            dx = points[end, 0] - points[k, 0]
+            dy = points[end, 1] - points[k, 1]
+            if dx * dx + dy * dy > NOISE_REACH_M * NOISE_REACH_M:
+                end -= step
+                break
+            _add_point(points, k, end, 1.0, whole)
+        if side:
+            hi = end
+        else:
+            lo = end
+    count = hi - lo + 1
+    if count < 4:
+        return -1.0
+    smallest, _, angle = _line(whole, count)
+    across = points[k, 1] * math.cos(angle) - points[k, 0] * math.sin(angle)
+    told = across * across / (points[k, 0] ** 2 + points[k, 1] ** 2)
+    return float(smallest / ((count - 2) * told)) if told > LEAST_TOLD else -1.0
+
+
+@kernel
+def _gap2(points: FloatArray, k: int, max_gap: float, max_gap_slope: float) -> float:
+    """Squared largest step from one neighbour of point `k` to the next."""
+    gap = max_gap + max_gap_slope * math.sqrt(points[k, 0] ** 2 + points[k, 1] ** 2)
+    return float(gap * gap)
+
+
+@kernel
+def _is_next(points: FloatArray, is_member: BoolArray, end: int, new: int, gap2: float) -> bool:
+    """Tell whether the line goes on from point `end` to `new`."""
+    if new < 0 or new >= points.shape[0] or not is_member[new]:
+        return False
+    dx = points[new, 0] - points[end, 0]
+    dy = points[new, 1] - points[end, 1]
+    return bool(dx * dx + dy * dy <= gap2)
+
+
+@kernel
+def _add_point(points: FloatArray, k: int, new: int, sign: float, sums: FloatArray) -> None:
+    """Add point `new` to the sums (5,) x, y, xx, xy, yy about point `k`, or take it away."""
+    x = points[new, 0] - points[k, 0]
+    y = points[new, 1] - points[k, 1]
+    sums[0] += sign * x
+    sums[1] += sign * y
+    sums[2] += sign * x * x
+    sums[3] += sign * x * y
+    sums[4] += sign * y * y
+
+
+@kernel
+def _line(sums: FloatArray, count: int) -> tuple[float, float, float]:
+    """Give the smaller and the larger eigenvalue of the scatter of `count` points, and the larger one's direction."""
+    xx = sums[2] - sums[0] * sums[0] / count
+    xy = sums[3] - sums[0] * sums[1] / count
+    yy = sums[4] - sums[1] * sums[1] / count
+    half_trace = 0.5 * (xx + yy)
+    root = math.sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 0.0))
+    return max(half_trace - root, 0.0), half_trace + root, 0.5 * math.atan2(2.0 * xy, xx - yy)
 
 
 @kernel

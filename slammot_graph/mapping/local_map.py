@@ -37,6 +37,9 @@ class LocalMapConfig(Checked):
         Largest step between neighbouring points of a line, beside 3 times the beams' distance at that range.
     normal_max_thickness_m : float
         Largest root mean square thickness of a line.
+    normal_std_rad : float
+        A normal takes in more beams until its direction is known so well: three of a wall close by see a few
+        centimetres of it, and normals that the beams' noise has turned tell of a way along it.
     """
 
     keyframe_distance_m: Positive = 0.3
@@ -50,6 +53,7 @@ class LocalMapConfig(Checked):
     normal_half_window_rad: Positive = 0.0525
     normal_max_gap_m: Positive = 0.4
     normal_max_thickness_m: Positive = 0.04
+    normal_std_rad: Positive = 0.05
 
     def __post_init__(self) -> None:
         """See `Checked`."""
@@ -113,6 +117,7 @@ def make_keyframe(
         config.normal_max_gap_m,
         3.0 * step_rad,
         config.normal_max_thickness_m,
+        config.normal_std_rad,
         normals,
     )
     return Keyframe(

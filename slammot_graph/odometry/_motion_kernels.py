@@ -62,6 +62,10 @@ def judge_predictions(
     means[2] += gain * (min(excess, max_excess) - means[2])
 
 
+OPEN_M2 = 1.0
+"""A match whose variances are larger than this leaves a direction open."""
+
+
 @kernel
 def learn_velocity(
     increment: FloatArray,
@@ -74,24 +78,37 @@ def learn_velocity(
     cross: FloatArray,
     var_change: FloatArray,
 ) -> None:
-    """Take an increment (3,) into a velocity by a Kalman filter an axis, and learn the variance of its change.
+    """Take an increment (3,) into a velocity by a Kalman filter, and learn the variance of its change.
 
-    Increments that are noisier than all that was learnt tell of no change: down a bare corridor the robot is taken to
-    keep its speed, but for the least change.
+    The velocity's errors are taken as independent from axis to axis; those of the increment are not: down a corridor
+    its covariance (3, 3) is open in one direction, into which a robot that does not drive straight along brings all
+    three axes, and across it and in heading it tells nevertheless. Increments that are noisier than all that was learnt
+    tell of no change: down a bare corridor the robot is taken to keep its speed, but for the least change.
 
     `cross` is the covariance of the velocity with the way that was predicted by it since it was last known well.
     """
+    innovation = increment / step_s - velocity
+    noise = cov / (step_s * step_s)
+    inverse = np.zeros((3, 3))
+    is_open = cov[0, 0] + cov[1, 1] > OPEN_M2 and invert3(noise, inverse)
+    if not is_open:
+        noise = np.diag(np.diag(noise))
     for i in range(3):
-        noise = cov[i, i] / (step_s * step_s)
-        innovation = increment[i] / step_s - velocity[i]
-        change2 = innovation * innovation - noise - var[i]
+        # where a direction is open: its noise once the other axes are known
+        alone = 1.0 / inverse[i, i] if is_open else noise[i, i]
+        change2 = innovation[i] * innovation[i] - alone - var[i]
         var_change[i] += gain * (min(change2, 25.0 * var_change[i]) - var_change[i])
         var_change[i] = max(var_change[i], least_var[i])
-        predicted = var[i] + var_change[i]
-        cross[i] += step_s * predicted
-        weight = predicted / (predicted + noise)
-        velocity[i] += weight * innovation
-        var[i] = (1.0 - weight) * predicted
+    predicted = var + var_change
+    whole = noise + np.diag(predicted)
+    if not invert3(whole, inverse):
+        return
+    for i in range(3):
+        cross[i] += step_s * predicted[i]
+        weight = predicted[i] * inverse[i, i]
+        for j in range(3):
+            velocity[i] += predicted[i] * inverse[i, j] * innovation[j]
+        var[i] = (1.0 - weight) * predicted[i]
         cross[i] *= 1.0 - weight
 
 

@@ -112,6 +112,7 @@ def test_starting_with_nothing_empties_the_map() -> None:
         "normal_half_window_rad",
         "normal_max_gap_m",
         "normal_max_thickness_m",
+        "normal_std_rad",
     ],
 )
 @pytest.mark.parametrize("value", [0.0, float("nan")])

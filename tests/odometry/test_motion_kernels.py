@@ -130,27 +130,50 @@ def test_a_motion_without_a_covariance_is_left_alone() -> None:
     assert kernels.heavy_tail_scale(np.ones(3), np.eye(3), np.eye(3), zero, 4.0) == 1.0
 
 
+@pytest.mark.parametrize("is_open", [False, True])
 @given(seeds, st.floats(0.02, 1.0), st.sampled_from([0.0, 0.03, 0.3]))
-def test_a_velocity_is_filtered_axis_by_axis(seed: int, step_s: float, gain: float) -> None:
+def test_a_velocity_is_filtered_with_axes_of_its_own(
+    is_open: bool, seed: int, step_s: float, gain: float
+) -> None:
     rng = np.random.default_rng(seed)
     increment, velocity = rng.normal(0.0, 0.1, (2, 3))
     cov = covariance(rng)
     var, cross, var_change = rng.uniform(0.01, 0.2, (3, 3))
     least = np.full(3, 1e-3)
-    noise = np.diag(cov) / step_s**2
+    cov[0, 0] += 2.0 * is_open
+    noise = cov / step_s**2 if is_open else np.diag(np.diag(cov)) / step_s**2
     innovation = increment / step_s - velocity
-    change2 = np.minimum(innovation**2 - noise - var, 25.0 * var_change)
+    alone = 1.0 / np.diag(np.linalg.inv(noise))
+    change2 = np.minimum(innovation**2 - alone - var, 25.0 * var_change)
     new_change = np.maximum(var_change + gain * (change2 - var_change), least)
-    K = (var + new_change) / (var + new_change + noise)
+    predicted = var + new_change
+    K = np.diag(predicted) @ np.linalg.inv(np.diag(predicted) + noise)
     expected = (
-        velocity + K * innovation,
-        (1.0 - K) * (var + new_change),
-        (1.0 - K) * (cross + step_s * (var + new_change)),
+        velocity + K @ innovation,
+        np.diag((np.eye(3) - K) @ np.diag(predicted)),
+        (1.0 - np.diag(K)) * (cross + step_s * predicted),
         new_change,
     )
     kernels.learn_velocity(increment, cov, step_s, gain, least, velocity, var, cross, var_change)
     for found, right in zip((velocity, var, cross, var_change), expected, strict=True):
         np.testing.assert_allclose(found, right, rtol=1e-6)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.2, 0.5])
+def test_a_corridor_leaves_no_more_open_than_the_way_along_it(yaw: float) -> None:
+    """A robot that turns in a bare corridor, which it drives down at an angle."""
+    along = np.array([np.cos(yaw), -np.sin(yaw), 0.002])
+    cov = np.diag(np.square([0.005, 0.005, 0.002])) + 1e6 * np.outer(along, along)
+    velocity, var = np.zeros(3), np.full(3, 0.01)
+    cross, var_change, least = np.zeros(3), np.full(3, 0.01), np.full(3, 1e-3)
+    turn = np.array([0.0, 0.0, 0.1])
+    for _ in range(20):
+        kernels.learn_velocity(turn, cov, 0.2, 0.15, least, velocity, var, cross, var_change)
+    assert velocity[2] == pytest.approx(0.5, abs=0.02)
+    assert var[2] < 0.001
+    if yaw == 0.0:  # else the axes share what is told across
+        assert var[1] < 0.001
+        assert var[0] > 0.02  # of the way along nothing is learnt
 
 
 @given(seeds, st.sampled_from([0.0, 0.15]))
