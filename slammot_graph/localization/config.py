@@ -121,7 +121,9 @@ class ScanToMapConfig(Checked):
         Starts are turned in these steps up to so many standard deviations of the predicted heading.
     astray_share : float
         Where a smaller share of the returns agrees than this times the usual one, nothing is known of the heading: they
-        are turned all around.
+        are turned all around ...
+    astray_lead : float
+        ... and a pose is believed with which so many times as many agree as with any other, `usual_share` of the usual.
     adrift_m : float
         Where the motion since the scan before is known less well, as after a gap without odometry, starts are shifted
         as well, in steps of this length ...
@@ -157,6 +159,7 @@ class ScanToMapConfig(Checked):
     turn_reach: Positive = 2.5
     turn_step_rad: Positive = 0.3
     astray_share: Share = 0.5
+    astray_lead: AtLeastOne = 1.5
     adrift_m: Positive = 0.5
     shift_reach: Positive = 1.5
     adrift_share: Share = 0.9

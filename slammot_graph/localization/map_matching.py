@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -271,30 +272,48 @@ class MapMatching:
         """Match all returns from other starts; where hardly any agree, from a full circle of them.
 
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
+        Where hardly any agree with the prediction, and much of what is seen is new, as at the start of a spin, a pose
+        is believed as well that leads by far.
         """
         wide = self.config.lost_cov
         anywhere = start.loosened(wide)._replace(cov_prior=wide, cov_independent=wide)
         agreement = self.agreement(doubtful)
         needed = max(agreement + self.config.agreement_gain, self.config.min_agreement)
-        best: MotionState | None = None
         reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
         rounds = [self._starts_before() + self._turned_starts(start, 0.0, reach_rad)]
+        is_astray = not self.is_adrift and agreement < self.config.astray_share * self._usual_agreement
         if self.is_adrift:
             needed = max(needed, self.config.adrift_share * self._usual_agreement)
             std_m = math.sqrt(np.trace(start.cov_motion[:2, :2]))
             shifted = self._best_shifted(points_base, is_valid, anywhere, std_m)
             rounds = [[*rounds[0], *self._turned_starts(start, reach_rad, math.pi), shifted]]
-        elif agreement < self.config.astray_share * self._usual_agreement:
+        elif is_astray:
             rounds.append(self._turned_starts(start, reach_rad, math.pi))
+        found = list[tuple[float, FloatArray]]()
         for starts in rounds:
             for T in starts:
                 match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
-                if match.status == "converged" and match.inlier_ratio > needed:
-                    needed = match.inlier_ratio
-                    best = anywhere._replace(T_local_base=T_found)
-            if best is not None:
-                break
-        return best
+                if match.status == "converged":
+                    found.append((match.inlier_ratio, T_found))
+            best = max(found, key=itemgetter(0), default=None)
+            if best is not None and best[0] > needed:
+                return anywhere._replace(T_local_base=best[1])
+        if best is None or not is_astray or not self._leads(best, found, agreement):
+            return None
+        return anywhere._replace(T_local_base=best[1])
+
+    def _leads(
+        self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float
+    ) -> bool:
+        """Tell whether a pose is agreed by about as much as usual, and by far more than the start and all others."""
+        config = self.config
+        if best[0] < max(agreement + config.agreement_gain, config.usual_share * self._usual_agreement):
+            return False
+        offsets = se2.between(best[1], np.array([T for _, T in found]))
+        is_other = np.hypot(offsets[:, 0], offsets[:, 1]) > config.adrift_m
+        is_other |= np.abs(offsets[:, 2]) > config.turn_step_rad
+        rivals = [share for (share, _), other in zip(found, is_other.tolist(), strict=True) if other]
+        return best[0] >= config.astray_lead * max([agreement, *rivals])
 
     def _best_shifted(
         self, points_base: FloatArray, is_valid: BoolArray, start: MotionState, std_m: float

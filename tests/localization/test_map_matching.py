@@ -136,6 +136,40 @@ def with_company(T_world_base: FloatArray) -> Scan:
     return take_scan(T_world_base, discs=people.tolist())
 
 
+def with_new(points: FloatArray, share: float) -> FloatArray:
+    """Points (n, 2) of which a share lies on what was never seen."""
+    points = points.copy()
+    is_new = np.arange(len(points)) % 20 < 20 * share
+    points[is_new] *= np.random.default_rng(0).uniform(0.3, 0.8, (np.count_nonzero(is_new), 1))
+    return points
+
+
+def spinning(share_new: float) -> tuple[MapMatching, FloatArray, FloatArray]:
+    """A turn of 0.5 rad that nothing predicts, after a match with which three of four returns agreed."""
+    matching = matching_at(np.zeros(3), ScanToMapConfig(usual_gain=1.0))
+    matching.match(with_new(POINTS, 0.25), IS_VALID, state_at(STEP))
+    matching.start_scan(LASER.origin_base, STEP)
+    T_local_base = STEP + np.array([0.0, 0.0, 0.5])
+    points = take_scan(se2.compose(A, T_local_base)).points_base()
+    return matching, with_new(points, share_new), T_local_base
+
+
+def test_at_the_start_of_a_spin_the_pose_that_leads_by_far_is_believed() -> None:
+    matching, points, T_local_base = spinning(0.2)
+    match, state = matching.match(points, IS_VALID, state_at(STEP))
+    assert match.status == "converged"
+    assert match.inlier_ratio < ScanToMapConfig().min_agreement
+    assert match.contradicts_odometry
+    assert max(errors(T_local_base, state.T_local_base)) < 0.02
+
+
+def test_where_most_is_new_no_pose_leads() -> None:
+    matching, points, _ = spinning(0.6)
+    match, _ = matching.match(points, IS_VALID, state_at(STEP))
+    assert not matching.is_elsewhere
+    assert match.status == "failed"
+
+
 def test_in_company_the_prediction_holds() -> None:
     """Who walks along looks as if the robot stood still; neither pose has most of the returns on its side."""
     local_map, first = LocalMap(LocalMapConfig()), with_company(A)
