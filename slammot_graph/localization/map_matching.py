@@ -21,6 +21,9 @@ from slammot_graph.registration.factory import make_matcher
 N_SEARCHED = 60
 """Returns that a search of many starts looks at; the best start is then matched with all."""
 
+MOST = 0.5
+"""Fewer of the returns than most make no pose, however it leads."""
+
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
 
@@ -307,7 +310,7 @@ class MapMatching:
     ) -> bool:
         """Tell whether a pose is agreed by about as much as usual, and by far more than the start and all others."""
         config = self.config
-        if best[0] < max(agreement + config.agreement_gain, config.usual_share * self._usual_agreement):
+        if best[0] < max(MOST, config.usual_share * self._usual_agreement):
             return False
         offsets = se2.between(best[1], np.array([T for _, T in found]))
         is_other = np.hypot(offsets[:, 0], offsets[:, 1]) > config.adrift_m

@@ -211,7 +211,7 @@ def test_a_robot_that_is_lost_is_looked_for_again(is_told: bool) -> None:
     distance_m, _ = offsets(T_true, np.array([step.T_map_base for step in steps]))
     is_sure = np.array([step.health == "healthy" for step in steps])
     n_wrong = np.count_nonzero(is_sure & (distance_m > 0.1))
-    assert n_wrong <= (0 if is_told else 12)  # one corridor looks like another one for a moment
+    assert n_wrong <= (0 if is_told else 15)  # one corridor looks like another one for 1.5 s
     assert steps[-1].health == "healthy"
     assert any(event.kind == "lost" for step in steps[150:] for event in step.events)
     distance_m, _ = offsets(T_true, final.T_map_base)
