@@ -39,7 +39,7 @@ def estimate_normals(
     n = points.shape[0]
     ends = np.empty((n, 2), dtype=np.int64)
     sums = np.zeros((n, 5))
-    variances = np.empty(n)
+    variances, whole = np.empty(n), np.empty(5)
     n_told = 0
     for k in range(n):
         out[k, 0] = 0.0
@@ -58,7 +58,7 @@ def estimate_normals(
         ends[k, 0] = lo
         ends[k, 1] = hi
         count = hi - lo + 1
-        variance = _range_variance(points, is_member, k, lo, hi, gap2, sums[k])
+        variance = _range_variance(points, is_member, k, lo, hi, gap2, sums[k], whole)
         if variance >= 0.0:
             variances[n_told] = variance
             n_told += 1
@@ -73,7 +73,7 @@ def estimate_normals(
             _grazed_normal(points, is_member, k, max_thickness, out)
             _turn_to(laser, points, k, out)
             continue
-        smallest, largest, angle = _line(sums[k], count)
+        smallest, largest, cos2, sin2 = _line(sums[k], count)
         if smallest > count * max_thickness * max_thickness or largest - smallest < 2e-9:
             continue
         gap2 = _gap2(points, k, max_gap, max_gap_slope)
@@ -91,7 +91,7 @@ def estimate_normals(
                     fits = grown[0] <= own2 * (count - 1 + N_SIGMA * math.sqrt(2.0 * (count - 1)))
                     fits = fits and grown[0] <= (count + 1) * max_thickness * max_thickness
                     if fits:
-                        smallest, largest, angle = grown
+                        smallest, largest, cos2, sin2 = grown
                         count += 1
                     else:
                         _add_point(points, k, new, -1.0, sums[k])
@@ -101,6 +101,7 @@ def estimate_normals(
                 else:
                     grows_down = fits
                     lo -= fits
+        angle = 0.5 * math.atan2(sin2, cos2)
         out[k, 0] = -math.sin(angle)
         out[k, 1] = math.cos(angle)
         _turn_to(laser, points, k, out)
@@ -108,13 +109,21 @@ def estimate_normals(
 
 @kernel
 def _range_variance(
-    points: FloatArray, is_member: BoolArray, k: int, lo: int, hi: int, gap2: float, sums: FloatArray
+    points: FloatArray,
+    is_member: BoolArray,
+    k: int,
+    lo: int,
+    hi: int,
+    gap2: float,
+    sums: FloatArray,
+    whole: FloatArray,
 ) -> float:
     """Variance of the ranges about the line through the neighbours of point `k`, and all within `NOISE_REACH_M`.
 
     A few ranges that were rounded to the same value show no noise, and walls at grazing angles little: -1 there.
+    `whole` (5,) is working memory.
     """
-    whole = sums.copy()
+    whole[:] = sums
     for side in range(2):
         step = 1 if side else -1
         end = hi if side else lo
@@ -133,7 +142,8 @@ def _range_variance(
     count = hi - lo + 1
     if count < 4:
         return -1.0
-    smallest, _, angle = _line(whole, count)
+    smallest, _, cos2, sin2 = _line(whole, count)
+    angle = 0.5 * math.atan2(sin2, cos2)
     across = points[k, 1] * math.cos(angle) - points[k, 0] * math.sin(angle)
     told = across * across / (points[k, 0] ** 2 + points[k, 1] ** 2)
     return float(smallest / ((count - 2) * told)) if told > LEAST_TOLD else -1.0
@@ -169,14 +179,17 @@ def _add_point(points: FloatArray, k: int, new: int, sign: float, sums: FloatArr
 
 
 @kernel
-def _line(sums: FloatArray, count: int) -> tuple[float, float, float]:
-    """Give the smaller and the larger eigenvalue of the scatter of `count` points, and the larger one's direction."""
+def _line(sums: FloatArray, count: int) -> tuple[float, float, float, float]:
+    """Give the smaller and the larger eigenvalue of the scatter of `count` points, and the larger one's direction.
+
+    That is half the angle of (cos, sin) as they stand at the end: most lines are not asked for it.
+    """
     xx = sums[2] - sums[0] * sums[0] / count
     xy = sums[3] - sums[0] * sums[1] / count
     yy = sums[4] - sums[1] * sums[1] / count
     half_trace = 0.5 * (xx + yy)
     root = math.sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 0.0))
-    return max(half_trace - root, 0.0), half_trace + root, 0.5 * math.atan2(2.0 * xy, xx - yy)
+    return max(half_trace - root, 0.0), half_trace + root, xx - yy, 2.0 * xy
 
 
 @kernel
