@@ -63,7 +63,7 @@ ENTRIES = (
     Entry(name="ladder", what="From the paper to graph, one change a preset", needs_logs=True),
     Entry(name="ablation", what="Every method on every scenario"),
     Entry(name="noise_sweep", what="Odometry noise against people", figure="noise_sweep"),
-    Entry(name="consistency", what="Are the covariances consistent?"),
+    Entry(name="consistency", what="Are the covariances consistent?", arguments=("--seeds", "20")),
     Entry(name="match_covariances", what="Whose covariance of a match is right?", arguments=("--seeds", "3")),
     Entry(
         name="covariance_ablation",
