@@ -100,7 +100,12 @@ ENTRIES = (
     Entry(name="lost_robot", what="A kidnapped robot", needs_logs=True),
     Entry(name="place_recognition", what="Recognising places", needs_logs=True),
     Entry(name="kiss_search", what="Settings of kiss-icp", needs_logs=True),
-    Entry(name="saved_maps", what="Runs in a map of an earlier run", needs_logs=True),
+    Entry(
+        name="saved_maps",
+        what="Runs in a map of an earlier run",
+        arguments=("--seeds", "15"),
+        needs_logs=True,
+    ),
     Entry(name="bad_disks", what="Disks that are full, folders that may not be written"),
     Entry(name="killed_runs", what="Runs that are killed and go on"),
     Entry(name="fuzzed_inputs", what="Damaged input to every reader"),
