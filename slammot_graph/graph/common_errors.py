@@ -10,17 +10,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
-from slammot_graph.core import se2
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.types import FloatArray
+from slammot_graph.graph.normal_equations import NormalEquations
 
 N_PARAMETERS = 4
 """Scale of the distance, direction, heading bias and heading scale."""
-
-_HELD = 1e8
 
 
 def common_error(increment: FloatArray, stds: FloatArray) -> FloatArray:
@@ -56,34 +52,9 @@ def solution_errors(
     n, n_columns = len(nodes), N_PARAMETERS * len(first_nodes)
     if n == 0 or not errors:
         return np.zeros((n, 3, n_columns))
-    i = np.array([edge.from_node for edge in edges])
-    j = np.array([edge.to_node for edge in edges])
-    W = np.array([edge.information for edge in edges])
-    A = -se2.adjoint(se2.between(nodes[j], nodes[i]))
-    AW = np.swapaxes(A, 1, 2) @ W
     by_runs = np.zeros((len(edges), 3, len(first_nodes), N_PARAMETERS))
-    runs = np.searchsorted(first_nodes, j, side="right") - 1
+    runs = np.searchsorted(first_nodes, [edge.to_node for edge in edges], side="right") - 1
     for k, edge in enumerate(edges):
         if edge.kind == "odometry" and edge.to_node in errors:
             by_runs[k, :, runs[k]] = errors[edge.to_node]
-    b = by_runs.reshape(len(edges), 3, n_columns)
-    held = np.zeros(1, dtype=np.int64)
-    rows = np.concatenate([i, i, j, j, held])
-    columns = np.concatenate([i, j, i, j, held])
-    blocks = np.concatenate([AW @ A, AW, W @ A, W, _HELD * np.eye(3)[None]])
-    index = np.arange(3)
-    H = sparse.coo_matrix(
-        (
-            blocks.ravel(),
-            (
-                np.broadcast_to(3 * rows[:, None, None] + index[None, :, None], blocks.shape).ravel(),
-                np.broadcast_to(3 * columns[:, None, None] + index[None, None, :], blocks.shape).ravel(),
-            ),
-        ),
-        shape=(3 * n, 3 * n),
-    ).tocsc()
-    H = H + 1e-6 * sparse.identity(3 * n, format="csc")
-    g = np.zeros((n, 3, n_columns))
-    np.add.at(g, i, AW @ b)
-    np.add.at(g, j, W @ b)
-    return np.asarray(splu(H).solve(g.reshape(3 * n, n_columns)).reshape(n, 3, n_columns))
+    return NormalEquations(nodes, edges).node_errors(by_runs.reshape(len(edges), 3, n_columns))

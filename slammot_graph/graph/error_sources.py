@@ -21,9 +21,8 @@ from slammot_graph.core import se2
 from slammot_graph.core.results import GraphEdge
 from slammot_graph.core.types import FloatArray, IntArray
 from slammot_graph.graph.common_errors import N_PARAMETERS
+from slammot_graph.graph.normal_equations import NormalEquations
 
-_HELD = 1e8
-_BARELY = 1e-6
 N_NEIGHBOURS = 2
 """Matches of so many nodes in a row see the same lines."""
 
@@ -50,7 +49,7 @@ class NodeError(NamedTuple):
         The same of what it shares with its neighbours.
     share : (3, 3) array
         How much of the match's error the node takes on; the rest of it is the odometry's.
-    carried : (3, 3) array
+    propagated : (3, 3) array
         How much it takes on of the motion from the node before.
     T_last_node : (3,) array
         That motion.
@@ -63,7 +62,7 @@ class NodeError(NamedTuple):
     root: FloatArray
     common_root: FloatArray
     share: FloatArray
-    carried: FloatArray
+    propagated: FloatArray
     T_last_node: FloatArray
     odometry_root: FloatArray
 
@@ -146,15 +145,12 @@ def solution_covariances(
     of_nodes = {
         k: e._replace(odometry_root=math.sqrt(odometry_scale) * e.odometry_root) for k, e in of_nodes.items()
     }
-    J, WJ = _linearised(nodes, edges)
-    hold = sparse.diags(np.where(np.arange(3 * n) < 3, _HELD, _BARELY))
-    solution = splu((J.T @ WJ + hold).tocsc())
+    equations = NormalEquations(nodes, edges)
     roots: dict[int, FloatArray] = {}
     for k, edge in enumerate(edges):
         cov = closure_covs.get(edge)
         if cov is not None:
-            known = J[3 * k : 3 * k + 3].toarray()
-            widened = _widened(cov, edge, nodes, known @ solution.solve(known.T))
+            widened = _widened(cov, edge, nodes, equations.covariance_of_edge(k))
             roots[k] = np.asarray(np.linalg.cholesky(widened))
     drift, U = _local_errors(of_nodes, common, columns)
     drift_of = splu(drift.T.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
@@ -162,27 +158,13 @@ def solution_covariances(
     covs = np.empty((len(asked), 3, 3))
     for first in range(0, len(asked), _AT_ONCE):
         some = asked[first : first + _AT_ONCE]
-        rows = (3 * some[:, None] + np.arange(3)).ravel()
-        unit = np.zeros((3 * n, len(rows)))
-        unit[rows, np.arange(len(rows))] = 1.0
-        of_edges = WJ @ solution.solve(unit)
+        unit = np.zeros((n, 3, 3 * len(some)))
+        unit[np.repeat(some, 3), np.tile(np.arange(3), len(some)), np.arange(3 * len(some))] = 1.0
+        of_edges = equations.weights(unit).reshape(3 * len(edges), 3 * len(some))
         of_sources = U.T @ drift_of.solve(np.ascontiguousarray(Z.T @ of_edges)) + D.T @ of_edges
         parts = of_sources.reshape(columns.total, len(some), 3)
         covs[first : first + len(some)] = np.einsum("smi,smj->mij", parts, parts)
     return covs
-
-
-def _linearised(nodes: FloatArray, edges: Sequence[GraphEdge]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """Jacobian (3 e, 3 n) of the edges' residuals, and the same weighted by their information."""
-    jacobian, weights = _Blocks(), _Blocks()
-    for k, edge in enumerate(edges):
-        i, j = edge.from_node, edge.to_node
-        jacobian.add(3 * k, 3 * i, -se2.adjoint(se2.between(nodes[j], nodes[i])))
-        jacobian.add(3 * k, 3 * j, np.eye(3))
-        weights.add(3 * k, 3 * k, edge.information)
-    n_rows = 3 * len(edges)
-    J = jacobian.matrix(n_rows, 3 * len(nodes)).tocsr()
-    return J, weights.matrix(n_rows, n_rows).tocsr() @ J
 
 
 def _local_errors(
@@ -195,11 +177,11 @@ def _local_errors(
         for other, gain in zip(error.nodes.tolist(), error.gains, strict=True):
             inherited.add(row, 3 * other, error.share @ gain)
         _add_noise(sources, row, node, error, error.share, columns)
-        if error.carried.any():
-            inherited.add(row, row - 3, error.carried @ se2.adjoint(se2.inverse(error.T_last_node)))
-            sources.add(row, columns.steps + row, error.carried @ error.odometry_root)
+        if error.propagated.any():
+            inherited.add(row, row - 3, error.propagated @ se2.adjoint(se2.inverse(error.T_last_node)))
+            sources.add(row, columns.steps + row, error.propagated @ error.odometry_root)
             if node in common:
-                sources.add(row, columns.common, error.carried @ common[node])
+                sources.add(row, columns.common, error.propagated @ common[node])
     size = 3 * columns.n
     M = (sparse.identity(size) - inherited.matrix(size, size)).tocsc()
     return M, sources.matrix(size, columns.total)

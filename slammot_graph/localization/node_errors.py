@@ -52,7 +52,7 @@ class NodeErrors:
             return
         self.of_nodes[node] = error = node_error(match, keyframes, T_local_node, T_last_node, cov_odometry)
         # where the matches tell of the motion the odometry's noise shows; where they do not, both agree
-        told = np.eye(3) - error.carried
+        told = np.eye(3) - error.propagated
         residual = se2.log(se2.between(T_last_node, T_by_matches))
         self._sum_squares += float(residual @ np.linalg.solve(cov_odometry, residual))
         self._n += float(np.trace(told @ told))
@@ -147,7 +147,7 @@ def node_error(
         root=_root(cov - cov_common),
         common_root=_root(cov_common) @ turned / math.sqrt(N_NEIGHBOURS),
         share=share,
-        carried=np.eye(3) - share @ solved @ normal,
+        propagated=np.eye(3) - share @ solved @ normal,
         T_last_node=T_last_node,
         odometry_root=odometry_root,
     )

@@ -60,7 +60,7 @@ def solved(noise: FloatArray, size: float) -> tuple[FloatArray, list[GraphEdge]]
         neighbours = shared[max(k - sources.N_NEIGHBOURS + 1, 0) : k + 1].sum(axis=0)
         matched = np.einsum("mij,mj->i", error.gains, local[error.nodes]) + ROOT @ own[k]
         matched += COMMON_ROOT @ neighbours
-        local[k] = SHARE @ matched + error.carried @ (onto(k - 1, k) @ local[k - 1] + step)
+        local[k] = SHARE @ matched + error.propagated @ (onto(k - 1, k) @ local[k - 1] + step)
         graph.add_node(TRUTH[k])
         graph.add_edge("odometry", k - 1, k, se2.compose(STEP, se2.exp(step)), ODOMETRY_INFORMATION)
         told = se2.exp(matched - onto(anchor, k) @ local[anchor])
@@ -144,3 +144,8 @@ def test_a_closure_that_disagrees_errs_by_what_it_disagrees(offset_m: float) -> 
         np.testing.assert_allclose(disagreeing, right)
     else:
         assert np.trace(disagreeing) > 2.0 * np.trace(right)
+
+
+def test_a_node_alone_has_no_error() -> None:
+    covs = solution_covariances(np.zeros((1, 3)), [], {}, {}, np.array([0]))
+    np.testing.assert_array_equal(covs, np.zeros((1, 3, 3)))

@@ -60,7 +60,7 @@ def test_an_error_of_the_whole_local_frame_is_one_of_the_node(match: object) -> 
         (g @ of_nodes[n] for n, g in zip(error.nodes.tolist(), error.gains, strict=True)), np.zeros(3)
     )
     last = se2.adjoint(se2.inverse(T_LAST_NODE)) @ of_nodes[6]
-    np.testing.assert_allclose(error.share @ matched + error.carried @ last, at(T_NODE), atol=1e-12)
+    np.testing.assert_allclose(error.share @ matched + error.propagated @ last, at(T_NODE), atol=1e-12)
 
 
 def test_noise_is_the_matchs_and_a_part_of_it_is_shared() -> None:
@@ -75,12 +75,12 @@ def test_noise_is_the_matchs_and_a_part_of_it_is_shared() -> None:
 
 def test_down_a_corridor_the_odometry_carries_the_error() -> None:
     error = node_error(DOWN_A_CORRIDOR, KEYFRAMES, T_NODE, T_LAST_NODE, COV_ODOMETRY)
-    assert error.carried[0, 0] == pytest.approx(1.0)
-    assert np.abs(error.carried[1:, 1:]).max() < 0.1
+    assert error.propagated[0, 0] == pytest.approx(1.0)
+    assert np.abs(error.propagated[1:, 1:]).max() < 0.1
     assert not (error.root @ error.root.T)[0].any()
     for match in (None, FAILED, replace(MATCH, map_scatter=None)):
         unmatched = node_error(match, KEYFRAMES, T_NODE, T_LAST_NODE, COV_ODOMETRY)
-        np.testing.assert_array_equal(unmatched.carried, np.eye(3))
+        np.testing.assert_array_equal(unmatched.propagated, np.eye(3))
         assert not len(unmatched.nodes)
 
 
