@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from operator import itemgetter
 
 import numpy as np
@@ -17,6 +18,7 @@ from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
 from slammot_graph.registration.base import Match, Matcher, MatchPrior
 from slammot_graph.registration.factory import make_matcher
+from slammot_graph.registration.point_to_line import PointToLineConfig
 
 N_SEARCHED = 60
 """Returns that a search of many starts looks at; the best start is then matched with all."""
@@ -154,11 +156,8 @@ class MapMatching:
     def agreement_at(self, points_base: FloatArray, is_used: BoolArray, T_local_base: FloatArray) -> float:
         """Share of the points (n, 2) of the scan that agrees with the local map where it is put, at a pose (3,)."""
         held = MatchPrior(T_a_base=T_local_base, cov=_HELD_COV, cov_independent=_HELD_COV)
-        return (
-            self._matcher_from(0.0)
-            .match(self.local_map, points_base, is_used, self.laser_base, held)
-            .result.inlier_ratio
-        )
+        matcher = _matcher_failing_below(self.config.point_to_line, 0.0)
+        return matcher.match(self.local_map, points_base, is_used, self.laser_base, held).result.inlier_ratio
 
     @property
     def is_elsewhere(self) -> bool:
@@ -192,7 +191,7 @@ class MapMatching:
             if elsewhere is None:
                 needed = self.config.adrift_share * self._usual_agreement
                 if self.is_adrift and self.agreement(matched[0]) < needed:
-                    strict = self._matcher_from(needed)
+                    strict = _matcher_failing_below(self.config.point_to_line, needed)
                     return self._match_from(points_base, is_static, start, matcher=strict), start
                 return matched, start
             self._elsewhere, self._static_share = elsewhere, 1.0
@@ -249,11 +248,6 @@ class MapMatching:
         return (matcher or self.matcher).match(
             self.local_map, points_base, is_used, self.laser_base, prior, kernel_factor=kernel_factor
         )
-
-    def _matcher_from(self, least_agreement: float) -> Matcher[LocalMap]:
-        """Give a matcher that fails where a smaller share of the points agrees; with 0 none ever does."""
-        usual = self.config.point_to_line
-        return make_matcher(replace(usual, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
 
     def _tail_scale(self, match: MatchResult, state: MotionState) -> float:
         """How far the covariance of the latest motion must be stretched for the match to be likely."""
@@ -328,7 +322,7 @@ class MapMatching:
         some = np.zeros_like(is_valid)
         k = np.flatnonzero(is_valid)
         some[k[:: max(len(k) // N_SEARCHED, 1)]] = True
-        matcher = self._matcher_from(0.0)
+        matcher = _matcher_failing_below(self.config.point_to_line, 0.0)
         best, T_best = 0.0, start.T_local_base
         for i, j in shifts:
             T = se2.compose(start.T_local_base, np.array([i * step_m, j * step_m, 0.0]))
@@ -351,3 +345,9 @@ class MapMatching:
         steps = range(int(beyond_rad / step_rad) + 1, int(reach_rad / step_rad) + 1)
         turns = [sign * k * step_rad for k in steps for sign in (1.0, -1.0)]
         return [se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]
+
+
+@lru_cache(maxsize=8)
+def _matcher_failing_below(config: PointToLineConfig, least_agreement: float) -> Matcher[LocalMap]:
+    """Give a matcher that fails only where a smaller share of the points agrees; with 0 none ever does."""
+    return make_matcher(replace(config, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
