@@ -27,8 +27,6 @@ USUAL_PERCENTILE = 75.0
 """Up to a quarter of the increments may jump."""
 JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.3, 0.5
 """A jump is faster than this, this many times faster than the log mostly is while it moves, and this long."""
-
-
 WRONG_WAY_SHARE, MIN_TURNED_RAD = 0.8, 2.0
 """Of so much turning at least, this share has the other sign than the laser's where the sign is wrong."""
 TURNS_RAD = 0.02

@@ -44,9 +44,11 @@ def find_mounting(
     told = "tf does not tell where"
     for base_frame in base_frames:
         T_base_laser = tree.between(base_frame, laser_frame)
-        if T_base_laser is not None and abs(T_base_laser[:2, 3]).max() > MAX_MOUNTING_M:
-            told = f"tf tells out of any sense ({abs(T_base_laser[:2, 3]).max():.4g} m away) where"
-        elif T_base_laser is not None:
+        if T_base_laser is None:
+            continue
+        if (away_m := abs(T_base_laser[:2, 3]).max()) > MAX_MOUNTING_M:
+            told = f"tf tells out of any sense ({away_m:.4g} m away) where"
+        else:
             mounting = mounting_from_transform(T_base_laser)
             warnings = _tilt_warnings(mounting, laser_frame)
             if given is None:

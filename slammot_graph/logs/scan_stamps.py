@@ -96,10 +96,11 @@ def mended(stamps: FloatArray) -> ScanStamps:
 def _in_seconds(stamps: FloatArray) -> tuple[FloatArray, str]:
     """Stamps (n,) [s], and the unit of `UNITS` that they were in; empty: they were seconds."""
     known = stamps[np.isfinite(stamps)]
-    steps = np.abs(np.diff(known))
-    if len(steps) < MIN_STEPS or not np.median(steps) > LONGEST_USUAL_STEP_S:
+    if len(known) <= MIN_STEPS:
         return stamps, ""
-    usual = float(np.median(steps))
+    usual = float(np.median(np.abs(np.diff(known))))
+    if not usual > LONGEST_USUAL_STEP_S:
+        return stamps, ""
     for unit, second in UNITS.items():
         if usual * second <= LONGEST_USUAL_STEP_S:
             return stamps * second, unit
