@@ -21,7 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from experiments.common import ROOT, Options, Scores, main, run_cells, say
+from experiments.common import Options, Scores, environment_of_checkout, main, run_cells, say
 from experiments.study_overhead import N_WORKERS, cluster
 from experiments.tables import Table, number, write_tables
 from slammot_graph.core.errors import InputError
@@ -124,10 +124,12 @@ def _study(folder: Path, n_seeds: int, options: Options) -> Path:
 
 def _start(words: list[str]) -> "subprocess.Popen[bytes]":
     """Start slammot-graph of this checkout in a process group of its own."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    command = [sys.executable, "-m", "slammot_graph", *words]
-    environment = {**os.environ, "PYTHONPATH": path}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, start_new_session=True)
+    return subprocess.Popen(
+        [sys.executable, "-m", "slammot_graph", *words],
+        env=environment_of_checkout(),
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def _finish(words: list[str]) -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from experiments.common import ROOT, Options, Scores, main, run_cells
+from experiments.common import ROOT, Options, Scores, environment_of_checkout, main, run_cells
 from experiments.tables import Table, write_tables
 from slammot_graph.core.errors import InputError
 from slammot_graph.run_folder.reader import read_run_folder
@@ -116,7 +116,7 @@ def suffer(log: str, fault: str, kb: int) -> Scores:
         done = subprocess.run(
             _command(log, output, fault),
             cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+            env={**environment_of_checkout(), **environment},
             capture_output=True,
             text=True,
             check=False,

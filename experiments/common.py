@@ -30,6 +30,7 @@ __all__ = [
     "Scores",
     "code_state",
     "data_folder",
+    "environment_of_checkout",
     "main",
     "run_cells",
     "say",
@@ -115,6 +116,12 @@ def main(experiment: Callable[[Options], None], argv: list[str] | None = None) -
         say("interrupted; finished cells are kept, run the same command to go on")
         return 130
     return 0
+
+
+def environment_of_checkout() -> dict[str, str]:
+    """Environment in which a program started by an experiment imports this checkout."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    return {**os.environ, "PYTHONPATH": path}
 
 
 def say(text: str) -> None:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import ROOT, Options, Scores, main, run_cells
+from experiments.common import ROOT, Options, Scores, environment_of_checkout, main, run_cells
 from experiments.tables import Table, write_tables
 from slammot_graph.core.errors import InputError
 from slammot_graph.run_folder.directory import RUN_FILES
@@ -124,7 +124,7 @@ def _start(words: list[str]) -> "subprocess.Popen[str]":
     return subprocess.Popen(
         [sys.executable, "-c", _PROGRAM, "run", *words],
         cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=environment_of_checkout(),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

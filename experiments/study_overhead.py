@@ -1,6 +1,5 @@
 """What a study costs beside its cells: 2,000 small cells on two processes and on a Dask cluster, and planning 10^5."""
 
-import os
 import re
 import socket
 import subprocess
@@ -11,7 +10,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from experiments.common import ROOT, Options, Scores, main, say, version_of
+from experiments.common import Options, Scores, environment_of_checkout, main, say, version_of
 from experiments.tables import Table, number, write_tables
 from slammot_graph.core.errors import InputError
 from slammot_graph.methods import METHODS
@@ -113,8 +112,7 @@ class _Kept:
 def cluster() -> Iterator[tuple[str, int]]:
     """A scheduler and its workers, one thread each: the scheduler's address and process."""
     code = "from dask.__main__ import main; main()"
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    environment = {**dict.fromkeys(THREAD_VARIABLES, "1"), **os.environ, "PYTHONPATH": path}
+    environment = {**dict.fromkeys(THREAD_VARIABLES, "1"), **environment_of_checkout()}
 
     def start(*words: str) -> "subprocess.Popen[bytes]":
         return subprocess.Popen(
