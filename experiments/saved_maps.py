@@ -1,5 +1,6 @@
 """Later runs in a saved map: continued, merged, started anywhere in it, and with the furniture moved."""
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Options, Scores, main, run_cells
-from experiments.tables import Table, write_tables
+from experiments.tables import Table, number, write_tables
 from slammot_graph import MapStart, Pipeline, PipelineConfig, Run, SavedMap, open_log
 from slammot_graph.core import se2
 from slammot_graph.core.scan import Scan
@@ -315,9 +316,9 @@ def _starts_row(name: str, starts: list[dict[str, float]]) -> list[str]:
         str(len(in_time)),
         f"{later:.0f}",
         str(sum(one["error_m"] > WRONG_M for one in found)),
-        f"{median('seen_m', in_time):.1f}",
-        f"{median('error_m', found):.3f}",
-        f"{median('error_deg', found):.2f}",
+        number(median("seen_m", in_time), 1),
+        number(median("error_m", found)),
+        number(median("error_deg", found), 2),
         f"{max(one['step_max_ms'] for one in starts):.0f}",
     ]
 
@@ -336,19 +337,31 @@ def _changed(options: Options) -> Table:
             right, labelled, moved = (
                 sum(one[key] for one in scores) for key in ("n_right", "n_labelled", "n_moved")
             )
-            rmse = [[one[f"rmse_{key}"] for one in scores] for key in ("same", "moved")]
+            # a run whose place in the map was not found has no error there
+            placed = [one for one in scores if math.isfinite(one["rmse_same"] + one["rmse_moved"])]
+            rmse = [[one[f"rmse_{key}"] for one in placed] for key in ("same", "moved")]
             rows.append(
                 [
                     f"{world}, {what}",
                     str(len(scores)),
-                    *(f"{np.median(values):.4f}" for values in rmse),
-                    f"{np.median(np.divide(rmse[1], rmse[0])):.2f}",
+                    str(len(placed)),
+                    *(number(float(np.median(values)), 4) if values else "-" for values in rmse),
+                    number(float(np.median(np.divide(rmse[1], rmse[0]))), 2) if placed else "-",
                     f"{right / max(labelled, 1):.3f}",
                     f"{right / max(moved, 1):.3f}",
                     str(sum(one["labelled_same"] for one in scores)),
                 ]
             )
-    columns = ("world", "seeds", "rmse, as before [m]", "with 20% moved [m]", "ratio", "precision", "recall")
+    columns = (
+        "world",
+        "seeds",
+        "placed",
+        "rmse, as before [m]",
+        "with 20% moved [m]",
+        "ratio",
+        "precision",
+        "recall",
+    )
     return Table(heading="Furniture moved", columns=(*columns, "labelled where nothing moved"), rows=rows)
 
 
