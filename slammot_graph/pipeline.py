@@ -118,7 +118,7 @@ class Pipeline:
         points = scan.points(matched.T_local_base)
         p_moving = self.detector.p_moving(scan, detection, points, predicted_positions)
         detection = self.detector.settle(detection, scan.ranges, is_valid, p_moving)
-        is_static = is_valid & ~detection.is_moving
+        is_static = detection.is_mapped(is_valid)
         watch.lap("detect")
         committed = self.localizer.commit(scan, scan.points_base(), is_static)
         watch.lap("graph")

@@ -116,6 +116,8 @@ def odometry_rows(report: "OdometryReport") -> dict[str, str]:
         ("heading scale", report.heading_scale, ""),
         ("heading bias", report.heading_bias_rad_per_m, "rad/m"),
         ("direction", report.direction_rad, "rad"),
+        ("laser shift, x", report.laser_shift_x_m, "m"),
+        ("laser shift, y", report.laser_shift_y_m, "m"),
         ("noise scale", report.noise_scale_m, "of the translation"),
         ("noise scale", report.noise_scale_rad, "of the rotation"),
     )

@@ -28,6 +28,7 @@ FindingKind = Literal[
     "odometry jumps",
     "odometry turns the wrong way",
     "mounting turned",
+    "mounting shifted",
     "distance scale",
     "heading scale",
     "heading bias",

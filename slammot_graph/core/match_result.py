@@ -10,6 +10,9 @@ from slammot_graph.core.types import BoolArray, FloatArray
 
 MatchStatus = Literal["converged", "degenerate", "failed"]
 
+UNLIKELY_NIS = 16.27
+"""Normalised innovation squared that a consistent match exceeds once in a thousand times (3 degrees of freedom)."""
+
 
 @dataclass(kw_only=True, eq=False)
 class MatchResult:

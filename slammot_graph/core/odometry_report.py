@@ -35,6 +35,9 @@ class OdometryReport:
     direction_rad : Estimated
         Direction of the true motion where the odometry tells of one straight ahead [rad]: a laser whose mounting is
         turned by pi moves backward.
+    laser_shift_x_m, laser_shift_y_m : Estimated
+        How much farther forward and left the laser sits on the base than its pose says [m], by the way it swings in
+        turns; not corrected, for the base the odometry turns about may be meant to be another.
     noise_scale_m, noise_scale_rad : Estimated
         Standard deviation of the odometry's increments over that of the noise model, translation and rotation.
     n_by_odometry, n_by_previous_motion : int
@@ -50,6 +53,8 @@ class OdometryReport:
     heading_scale: Estimated = field(default_factory=lambda: Estimated(value=1.0))
     heading_bias_rad_per_m: Estimated = field(default_factory=lambda: Estimated(value=0.0))
     direction_rad: Estimated = field(default_factory=lambda: Estimated(value=0.0))
+    laser_shift_x_m: Estimated = field(default_factory=lambda: Estimated(value=0.0))
+    laser_shift_y_m: Estimated = field(default_factory=lambda: Estimated(value=0.0))
     noise_scale_m: Estimated = field(default_factory=lambda: Estimated(value=1.0))
     noise_scale_rad: Estimated = field(default_factory=lambda: Estimated(value=1.0))
     n_by_odometry: int = 0

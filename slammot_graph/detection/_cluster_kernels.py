@@ -64,7 +64,7 @@ def cluster_beams(
 
 
 @kernel
-def _cluster_boxes(points: FloatArray, labels: IntArray, box: FloatArray) -> None:
+def cluster_boxes(points: FloatArray, labels: IntArray, box: FloatArray) -> None:
     """Fill `box` (n_clusters, 4) with each cluster's least and largest x, least and largest y."""
     for c in range(box.shape[0]):
         box[c, 0] = box[c, 2] = np.inf
@@ -91,7 +91,7 @@ def discard_clusters(
     """Mark in `is_kept` (n_clusters,) the clusters with enough points and within MAX X RANGE and MAX Y RANGE."""
     counts = np.zeros(n_clusters, dtype=np.int64)
     box = np.empty((n_clusters, 4))
-    _cluster_boxes(points, labels, box)
+    cluster_boxes(points, labels, box)
     for k in range(labels.shape[0]):
         if labels[k] >= 0:
             counts[labels[k]] += 1
@@ -350,7 +350,7 @@ def cluster_evidence(
     n_clusters = out.shape[0]
     sums = np.zeros((n_clusters, 6))  # points, ranges, on free cells, log odds, x, y
     box = np.empty((n_clusters, 4))
-    _cluster_boxes(points, cluster, box)
+    cluster_boxes(points, cluster, box)
     for k in range(cluster.shape[0]):
         c = cluster[k]
         if c < 0:

@@ -35,6 +35,11 @@ class Detection(NamedTuple):
     n_clusters: int
     packed_cov: FloatArray
 
+    def is_mapped(self, is_valid: BoolArray) -> BoolArray:
+        """(n,) returns that enter the map: static, and not of something wide that lies on free cells."""
+        is_mapped: BoolArray = is_valid & ~self.is_moving & (self.reason != reasons.TOO_WIDE)
+        return is_mapped
+
     def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
         """Give what a tracker needs of the k clusters, with the scan's points (n, 2) in the frame of the pose.
 
@@ -62,10 +67,11 @@ class Detection(NamedTuple):
         )
 
     def abstain(self) -> "Detection":
-        """Reject what was called moving: none of it is."""
+        """Reject what was called moving, and what was kept out of the map: nothing is."""
+        is_rejected = self.is_moving | (self.reason == reasons.TOO_WIDE)
         return self._replace(
             is_moving=np.zeros_like(self.is_moving),
-            reason=np.where(self.is_moving, reasons.ABSTAINED, self.reason),
+            reason=np.where(is_rejected, reasons.ABSTAINED, self.reason),
             cluster=np.full_like(self.cluster, -1),
             n_clusters=0,
         )

@@ -8,7 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare, Share
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection import _cluster_kernels, _kernels, reasons
+from slammot_graph.detection import _cluster_kernels, _kernels, _wide_kernels, reasons
 from slammot_graph.detection.base import Detection
 from slammot_graph.detection.clustering import ClusterConfig
 from slammot_graph.detection.hit_memory import HitMemory
@@ -168,6 +168,17 @@ def detect_moving(
         cluster,
         is_moving,
     )
+    if clusters.mapped_share < 1.0:
+        _wide_kernels.mark_wide(
+            points,
+            is_valid,
+            clusters.mapped_share,
+            clusters.max_gap_m,
+            clusters.max_skipped_beams,
+            clusters.max_x_range_m,
+            clusters.max_y_range_m,
+            reason,
+        )
     return Detection(
         is_moving=is_moving, reason=reason, cluster=cluster, n_clusters=n_clusters, packed_cov=packed
     )

@@ -37,9 +37,10 @@ SHARE_OF_STATIC = {
     reasons.ABSTAINED: 0.4,
     reasons.NOT_TESTED: 0.0,
     reasons.FURNITURE: 0.2,
+    reasons.TOO_WIDE: 0.3,
 }
 """Share of moving beams among those that were called static, by reason; by the same command (less for
-DISCARDED, which crowds dominate there)."""
+DISCARDED, which crowds dominate there; TOO_WIDE as that)."""
 
 
 def cluster_evidence(

@@ -2,8 +2,8 @@
 
 (
     NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, ABSTAINED, TRACKED, NOT_TESTED, VACATED, FURNITURE,
-    ALONG,
-) = range(12)  # fmt: skip
+    ALONG, TOO_WIDE,
+) = range(13)  # fmt: skip
 
 REASONS = (
     "no valid return",
@@ -11,11 +11,12 @@ REASONS = (
     "static: an unknown cell under the ellipse",
     "moving: only free cells under the ellipse",
     "static: the ellipse is too large to decide",
-    "static: free cells only, but its cluster is too small or too wide",
+    "static: free cells only, but its cluster is too small, or too wide and split",
     "static: too much of the scan seemed to move, or the match failed",
     "moving: where a tracked object was expected, and no occupied cell",
     "static: this method makes no test",
     "moving: beside a place where something stood a moment ago that is empty now, and no occupied cell",
     "static: free cells only, but most of its cluster lies where static points lay before",
     "moving: on a small thing that alone pulls the match away from the odometry",
+    "neither: free cells only, and wider than a person; kept out of the map as long as the cells are known to be free",
 )

@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 
 from slammot_graph.core.findings import Finding
+from slammot_graph.core.match_result import UNLIKELY_NIS
 from slammot_graph.core.results import StepResult
-
-UNLIKELY_NIS = 16.27
-"""A normalised innovation squared (3 degrees of freedom) is larger in one of a thousand matches."""
 
 MIN_MATCHES = 30
 MAX_SHARE = 0.1

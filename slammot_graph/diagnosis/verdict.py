@@ -14,10 +14,12 @@ from slammot_graph.diagnosis.statistics import RunStatistics
 N_SIGMA = 3.0
 """A number is off where it is by so many of its standard deviations, and by the least that matters:"""
 
-LEAST_SCALE = 0.05
+LEAST_SCALE, LEAST_SCALE_TOLD = 0.05, 0.03
+"""A scale of distances from the second on is worth a word: nothing says whose metre is right, and the map has one."""
 LEAST_BIAS_RAD_PER_M = 0.04
 LEAST_OFFSET_S = 0.03
 LEAST_DIRECTION_RAD = math.radians(5.0)
+LEAST_SHIFT_M = 0.1
 LARGEST_TRUSTED_STD = 0.3
 """A sign or a direction is told by an estimate that is sharper than this."""
 
@@ -195,6 +197,7 @@ def _of_report(report: OdometryReport, *, is_held: bool) -> list[Finding]:
             _bias(report.heading_bias_rad_per_m),
             _distance(report.distance_scale),
             _direction(report.direction_rad),
+            _shift(report.laser_shift_x_m, report.laser_shift_y_m),
             _clock(report.clock_offset_s),
             _noise(report.noise_scale_m, report.noise_scale_rad),
         )
@@ -264,16 +267,19 @@ def _bias(bias: Estimated) -> Finding | None:
 
 
 def _distance(scale: Estimated) -> Finding | None:
-    if not _is_off(scale, 1.0, LEAST_SCALE):
+    if not _is_off(scale, 1.0, LEAST_SCALE_TOLD):
         return None
     return Finding(
         kind="distance scale",
-        severity="warning",
+        severity="warning" if _is_off(scale, 1.0, LEAST_SCALE) else "info",
         cause=(
             f"distance scale {scale.value:.3g} +- {scale.std:.2g}: the odometry's distances are"
-            f" {_times(scale.value)}"
+            f" {_times(scale.value)}, or else the laser's ranges {_times(1.0 / scale.value)}"
         ),
-        remedy=f"multiply the wheel radius, or counts to metres, by {scale.value:.3g}; {MEASURED_LATE}",
+        remedy=(
+            f"multiply the wheel radius, or counts to metres, by {scale.value:.3g}; {MEASURED_LATE}, for it takes the"
+            " laser's ranges for right: if they are not, the map and the path have the wrong size"
+        ),
         data=_data(scale),
     )
 
@@ -306,6 +312,32 @@ def _direction(direction_rad: Estimated) -> Finding | None:
         ),
         remedy=f"give --laser-pose with a yaw that is {off:+.3f} rad less; {MEASURED_LATE}",
         data=_data(direction_rad),
+    )
+
+
+def _shift(x_m: Estimated, y_m: Estimated) -> Finding | None:
+    """Where the laser sits, by its swing in turns."""
+    off = [
+        (name, shift, ahead if shift.value > 0.0 else behind)
+        for name, shift, ahead, behind in (("x", x_m, "forward", "back"), ("y", y_m, "left", "right"))
+        if _is_off(shift, 0.0, LEAST_SHIFT_M)
+    ]
+    if not off:
+        return None
+    where = [f"{abs(shift.value):.2f} +- {shift.std:.1g} m farther {to}" for _, shift, to in off]
+    more = [f"{name} {shift.value:+.2f} m" for name, shift, _ in off]
+    return Finding(
+        kind="mounting shifted",
+        severity="warning",
+        cause=(
+            f"in turns the laser swings as if it sat {' and '.join(where)} than its pose says: that pose is wrong,"
+            " or the robot turns about another point than the one whose path the odometry tells"
+        ),
+        remedy=(
+            f"give --laser-pose with {' and '.join(more)} more; until then the path is that of the point which the"
+            " given pose makes the base, off the true one by so much"
+        ),
+        data={f"{name}_m": shift.value for name, shift, _ in off},
     )
 
 

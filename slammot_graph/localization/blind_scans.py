@@ -52,11 +52,14 @@ _LOOKED_AT = (0.1, 0.3, 0.5, 0.7, 0.9)  # beams that tell at no cost that most a
 
 
 class _View(NamedTuple):
-    """What a laser saw at a time; of a cover, which beams (n_beams,) it may cut off, and which it surely does."""
+    """What a laser saw at a time; of a cover, which beams (n_beams,) it may cut off, and which it surely does.
+
+    `T_base` is where the odometry has the robot; without odometry where it was found at the scan before.
+    """
 
     stamp: float
     ranges: FloatArray
-    T_odom_base: FloatArray | None
+    T_base: FloatArray | None
     is_cut: BoolArray | None = None
     has_come: BoolArray | None = None
 
@@ -100,7 +103,8 @@ class BlindScans:
         one = self._of_laser.get(scan.laser.number)
         if one is None:
             one = self._of_laser[scan.laser.number] = _OneLaser()
-        return one.look_at(scan, is_moving=self._is_moving)
+        T_base = self._T_local_base if scan.T_odom_base is None else scan.T_odom_base
+        return one.look_at(scan, T_base, is_moving=self._is_moving)
 
 
 class _OneLaser:
@@ -112,8 +116,8 @@ class _OneLaser:
         self._lately: list[_View] = []
         self._cover: _View | None = None
 
-    def look_at(self, scan: Scan, *, is_moving: bool) -> Blindness | None:
-        if self._is_covered(scan):
+    def look_at(self, scan: Scan, T_base: FloatArray | None, *, is_moving: bool) -> Blindness | None:
+        if self._is_covered(scan, T_base):
             return "partly covered" if self.is_cut("covered") is not True else "covered"
         self._is_stale = self._is_repeated(scan, is_moving=is_moving)
         return "repeated" if self._is_stale else None
@@ -139,8 +143,8 @@ class _OneLaser:
         x, y, theta = se2.between(T_odom_fresh, scan.T_odom_base)
         return bool(np.hypot(x, y) > MOVED_M or abs(theta) > MOVED_RAD)
 
-    def _is_covered(self, scan: Scan) -> bool:
-        view = _View(scan.stamp, scan.ranges, scan.T_odom_base)
+    def _is_covered(self, scan: Scan, T_base: FloatArray | None) -> bool:
+        view = _View(scan.stamp, scan.ranges, T_base)
         if self._cover is not None:
             if len(view.ranges) == len(self._cover.ranges) and self._still_covers(self._cover, view):
                 self._spread(view)
@@ -194,7 +198,7 @@ class _OneLaser:
             if is_whole and n_shorter >= SHRUNK_SHARE * n_seen:
                 return view
             # that a part rides on the robot, and does not stand on the floor, is known by driving alone
-            if scan.T_odom_base is not None and n_shorter >= SHRUNK_PART_SHARE * n:
+            if view.T_base is not None and n_shorter >= SHRUNK_PART_SHARE * n:
                 has_come = is_near & ~(ranges >= was - CUT_M)
                 return view._replace(is_cut=None if is_whole else is_near, has_come=has_come)
         return None
@@ -206,9 +210,9 @@ class _OneLaser:
             now, then = now[cover.has_come], then[cover.has_come]
         if np.count_nonzero(now <= NEAR_M) < 0.5 * len(now):
             return False
-        if cover.T_odom_base is None or view.T_odom_base is None:
+        if cover.T_base is None or view.T_base is None:
             return True
-        x, y, theta = se2.between(cover.T_odom_base, view.T_odom_base)
+        x, y, theta = se2.between(cover.T_base, view.T_base)
         if np.hypot(x, y) < DRIVEN_M and abs(theta) < DRIVEN_RAD:
             return True
         is_same = np.abs(now - then) <= SAME_M + SAME_SHARE_OF_RANGE * then
@@ -217,10 +221,10 @@ class _OneLaser:
 
 
 def _is_apart(before: _View, view: _View) -> bool:
-    """Whether the robot has driven or turned far between two views, as far as the odometry tells."""
-    if before.T_odom_base is None or view.T_odom_base is None:
+    """Whether the robot has driven or turned far between two views, as far as that is known."""
+    if before.T_base is None or view.T_base is None:
         return False
-    x, y, theta = se2.between(before.T_odom_base, view.T_odom_base)
+    x, y, theta = se2.between(before.T_base, view.T_base)
     return bool(np.hypot(x, y) > APART_M or abs(theta) > APART_RAD)
 
 

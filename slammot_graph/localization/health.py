@@ -3,11 +3,14 @@
 from typing import Literal, NamedTuple
 
 from slammot_graph.core.events import Event, make_event
-from slammot_graph.core.match_result import MatchResult
+from slammot_graph.core.match_result import UNLIKELY_NIS, MatchResult
 from slammot_graph.core.results import Health
 
 N_CONSISTENT = 5
-"""So many matches in a row that converge and agree with the odometry end a contradiction, or being lost."""
+"""So many matches in a row that converge and agree with the odometry end a contradiction, or being lost; so many in a
+row that converge and are unlikely given the odometry begin one."""
+
+UNLIKELY = "one match after the other is farther from where it was predicted than both can err"
 
 
 class HealthUpdate(NamedTuple):
@@ -22,7 +25,8 @@ class HealthMonitor:
 
     - healthy: the match converged and agrees with the odometry, or the method makes no matches.
     - degenerate: the match failed, left a direction open, or could not be made.
-    - contradiction: odometry and match tell of different motions, and until `n_consistent` matches in a row agree.
+    - contradiction: odometry and match tell of different motions, at once or by a row of `n_consistent` unlikely
+      innovations, and until `n_consistent` matches in a row agree.
     - lost: the robot's place in the earlier map is not known, and until `n_consistent` matches in a row agree.
     - recovered: the scan at which a contradiction, or being lost, ends.
 
@@ -39,6 +43,7 @@ class HealthMonitor:
         self.n_consistent = n_consistent
         self.trouble: Literal["contradiction", "lost"] | None = None
         self._n_agreeing = 0
+        self._n_unlikely = 0
         self._n_scans = 0
         self._is_first = True
 
@@ -59,17 +64,20 @@ class HealthMonitor:
         """
         self._n_scans += self.trouble is not None
         is_expected, self._is_first = expects_match and not self._is_first, False
-        contradicts = match is not None and match.contradicts_odometry
+        is_unlikely = match is not None and match.nis > UNLIKELY_NIS
+        self._n_unlikely = self._n_unlikely + 1 if is_unlikely else 0
+        in_a_row = self._n_unlikely >= self.n_consistent
+        contradicts = in_a_row or (match is not None and match.contradicts_odometry)
         events: tuple[Event, ...] = ()
         if is_lost:
             self._begin("lost")
         elif contradicts:
             if self.trouble is None:
                 self._begin("contradiction")
-                reason = "" if match is None else match.reason
+                reason = UNLIKELY if in_a_row or match is None else match.reason
                 events = (make_event("contradiction", scan, reason=reason),)
             self._n_agreeing = 0
-        elif match is not None and match.status == "failed":
+        elif is_unlikely or (match is not None and match.status == "failed"):
             self._n_agreeing = 0
         elif match is not None and match.status == "converged":
             self._n_agreeing += 1

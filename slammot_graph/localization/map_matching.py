@@ -26,6 +26,9 @@ N_SEARCHED = 60
 MOST = 0.5
 """Fewer of the returns than most make no pose, however it leads."""
 
+REACH = 2.0
+"""A robot may have driven so many times as far as it is told; `adrift_m` besides."""
+
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
 
@@ -290,7 +293,7 @@ class MapMatching:
         for starts in rounds:
             for T in starts:
                 match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
-                if match.status == "converged":
+                if match.status == "converged" and (self.is_adrift or self._is_reachable(T_found, start)):
                     found.append((match.inlier_ratio, T_found))
             best = max(found, key=itemgetter(0), default=None)
             if best is not None and best[0] > needed:
@@ -298,6 +301,15 @@ class MapMatching:
         if best is None or not is_astray or not self._leads(best, found, agreement):
             return None
         return anywhere._replace(T_local_base=best[1])
+
+    def _is_reachable(self, T_local_base: FloatArray, start: MotionState) -> bool:
+        """Tell whether the robot can be at a pose (3,): about as far from the scan before as it is told, or just drove.
+
+        What rises before a robot that tilts looks like the wall behind it, metres nearer.
+        """
+        before, earlier = self._T_local_lately
+        way_m = max(se2.distance(before, start.T_local_base)[0], se2.distance(earlier, before)[0])
+        return se2.distance(before, T_local_base)[0] <= self.config.adrift_m + REACH * way_m
 
     def _leads(
         self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float

@@ -229,6 +229,8 @@ class AdaptiveOdometry:
             heading_scale=now.heading_scale,
             heading_bias_rad_per_m=now.heading_bias_rad_per_m,
             direction_rad=now.direction_rad,
+            laser_shift_x_m=now.laser_shift_m[0],
+            laser_shift_y_m=now.laser_shift_m[1],
             noise_scale_m=now.noise_scale_m,
             noise_scale_rad=now.noise_scale_rad,
             n_by_odometry=record.n_by_odometry,

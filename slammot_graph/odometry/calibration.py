@@ -60,6 +60,8 @@ class CalibrationConfig(Checked):
         Prior standard deviation of both scales about 1, and of the direction [rad].
     bias_std_rad_per_m : float
         Prior standard deviation of the heading bias about 0.
+    shift_std_m : float
+        Prior standard deviation of the laser's place on the base about that of its pose, per axis.
     min_std_m, min_std_rad : float
         Least standard deviation of an increment's residual in the fit.
     noise_scale_std : float
@@ -80,6 +82,7 @@ class CalibrationConfig(Checked):
     min_turn_rad: Positive = 0.08
     scale_std: Positive = 0.5
     bias_std_rad_per_m: Positive = 0.1
+    shift_std_m: Positive = 0.5
     min_std_m: Positive = 0.003
     min_std_rad: Positive = 0.002
     noise_scale_std: Positive = 1.1
@@ -94,6 +97,7 @@ class OdometryCalibration:
     direction_rad: Estimated = field(default_factory=lambda: Estimated(value=0.0))
     heading_scale: Estimated = field(default_factory=lambda: Estimated(value=1.0))
     heading_bias_rad_per_m: Estimated = field(default_factory=lambda: Estimated(value=0.0))
+    laser_shift_m: tuple[Estimated, Estimated] = (Estimated(value=0.0), Estimated(value=0.0))
     noise_scale_m: Estimated = field(default_factory=lambda: Estimated(value=1.0))
     noise_scale_rad: Estimated = field(default_factory=lambda: Estimated(value=1.0))
 
@@ -203,6 +207,7 @@ class SelfCalibration:
             direction_rad=direction,
             heading_scale=heading[0],
             heading_bias_rad_per_m=heading[1],
+            laser_shift_m=self._fit_shift(windows, joined(first.corrected(windows.steps))),
             noise_scale_m=noise_m,
             noise_scale_rad=noise_rad,
         )
@@ -322,6 +327,21 @@ class SelfCalibration:
             Estimated(value=scale, std=stds[0]),
             Estimated(value=math.atan2(fit.x[1], fit.x[0]), std=stds[1] / max(scale, 0.1)),
         )
+
+    def _fit_shift(self, windows: Windows, told: FloatArray) -> tuple[Estimated, Estimated]:
+        """How far the laser sits from where its pose says, forward and left, by the motion (n, 3) told with all mended.
+
+        A laser pose that is short by p puts the base at ``B p``, and its motion T is seen as ``inverse(p) T p``:
+        farther by ``(R(theta) - I) p``.
+        """
+        found, std = windows.found, self._stds(windows.var)[:, 0]
+        c, s = np.cos(told[:, 2]) - 1.0, np.sin(told[:, 2])
+        swing = np.vstack([np.column_stack([c, -s]), np.column_stack([s, c])])
+        left = np.concatenate([found[:, 0] - told[:, 0], found[:, 1] - told[:, 1]])
+        prior = np.zeros(2), np.full(2, self.config.shift_std_m)
+        fit = robust_fit(swing, left, np.tile(std, 2), prior, is_scale_given=False)
+        stds = stds_of(fit, prior[1], n_series=2)
+        return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
 
     def _fit_noise(self, windows: Windows, calibration: OdometryCalibration) -> tuple[Estimated, Estimated]:
         """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own."""

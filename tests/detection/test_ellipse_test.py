@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -152,6 +154,35 @@ def test_what_is_too_wide_for_a_person_does_not_move_because_one_is_expected() -
     found = detect_expected(scan, NEVER_SEEN, [2.0, 4.5], track_reach_m=1.2)  # 2.4 m of the wall
     assert not found.is_moving.any()
     assert not (found.reason == reasons.TRACKED).any()
+
+
+def before_it(pose: np.ndarray, distance_m: float, share: float) -> Scan:
+    """A scan of the room with something at a distance before so large a share of the beams."""
+    scan = take_scan(pose)
+    n = len(scan.ranges)
+    is_before = np.abs(np.arange(n) - n // 2) < 0.5 * share * n
+    return replace(scan, ranges=np.where(is_before, np.minimum(scan.ranges, distance_m), scan.ranges))
+
+
+def test_something_wide_on_free_cells_neither_moves_nor_enters_the_map() -> None:
+    scan = before_it(POSE, 1.2, 0.5)
+    found = detect(scan, seen_room(), EllipseTestConfig())
+    is_before = scan.ranges < take_scan(POSE).ranges - 0.2
+    assert np.count_nonzero(is_before) > 0.3 * len(is_before)
+    assert not found.is_moving.any()
+    assert (found.reason[is_before] == reasons.TOO_WIDE).mean() > 0.95
+    np.testing.assert_array_equal(found.is_mapped(scan.is_valid()), found.reason != reasons.TOO_WIDE)
+    assert found.abstain().is_mapped(scan.is_valid()).all()  # where the pose may be wrong, so may all this
+
+
+@pytest.mark.parametrize("mapped_share", [0.9, 1.0])
+def test_something_wide_is_mapped_where_it_is_little_of_the_scan_or_as_in_the_paper(
+    mapped_share: float,
+) -> None:
+    scan, clusters = before_it(POSE, 1.2, 0.5), ClusterConfig(mapped_share=mapped_share)
+    found = detect_moving(scan, scan.is_valid(), POSE, SMALL_COV, seen_room(), EllipseTestConfig(), clusters)
+    assert (found.reason == reasons.DISCARDED).any()
+    assert not (found.reason == reasons.TOO_WIDE).any()
 
 
 def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:

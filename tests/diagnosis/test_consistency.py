@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from slammot_graph import Run
-from slammot_graph.diagnosis.consistency import MIN_MATCHES, UNLIKELY_NIS, InnovationConsistency
+from slammot_graph.core.match_result import UNLIKELY_NIS
+from slammot_graph.diagnosis.consistency import MIN_MATCHES, InnovationConsistency
 from slammot_graph.simulation import SimulatedLog, simulate
 
 

@@ -46,6 +46,21 @@ def report(**values: tuple[float, float]) -> OdometryReport:
         ({"direction_rad": (-3.1, 0.05)}, "mounting turned", "looks turned by 180 degrees"),
         ({"direction_rad": (0.3, 0.02)}, "mounting turned", "a yaw that is +0.300 rad less"),
         (
+            {"distance_scale": (0.96, 0.005)},
+            "distance scale",
+            "or else the laser's ranges 1.04 times too short",
+        ),
+        (
+            {"laser_shift_x_m": (-0.3, 0.01), "laser_shift_y_m": (0.02, 0.01)},
+            "mounting shifted",
+            "as if it sat 0.30 +- 0.01 m farther back than its pose says",
+        ),
+        (
+            {"laser_shift_x_m": (0.2, 0.01), "laser_shift_y_m": (0.15, 0.02)},
+            "mounting shifted",
+            "give --laser-pose with x +0.20 m and y +0.15 m more",
+        ),
+        (
             {"clock_offset_s": (-0.12, 0.01)},
             "clock offset",
             "the laser's lags behind the odometry's by 0.120 +- 0.01 s",
@@ -73,6 +88,8 @@ def test_what_the_calibration_found(
             "direction_rad": (3.1, math.inf),
         },
         {"heading_scale": (0.8, 0.1), "distance_scale": (1.02, 0.001), "clock_offset_s": (0.01, 0.001)},
+        {"laser_shift_x_m": (0.3, 0.11), "laser_shift_y_m": (0.09, 0.001)},
+        {"laser_shift_x_m": (0.3, math.inf), "laser_shift_y_m": (math.nan, math.nan)},
         {"direction_rad": (3.1, 1.0), "clock_offset_s": (0.2, 0.1)},
         {"direction_rad": (math.nan, math.nan), "clock_offset_s": (math.nan, math.nan)},
     ],
@@ -81,6 +98,17 @@ def test_what_is_not_known_or_small_is_not_told(
     statistics: RunStatistics, values: dict[str, tuple[float, float]]
 ) -> None:
     assert diagnose(statistics, report(**values)) == ()
+
+
+def test_a_small_difference_of_scale_is_worth_a_word_and_a_large_one_a_warning(
+    statistics: RunStatistics,
+) -> None:
+    severities = [
+        finding.severity
+        for scale in (1.02, 1.04, 1.06)
+        for finding in diagnose(statistics, report(distance_scale=(scale, 0.001)))
+    ]
+    assert severities == ["info", "warning"]
 
 
 def test_without_odometry_its_calibration_is_not_told(statistics: RunStatistics) -> None:

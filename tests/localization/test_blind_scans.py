@@ -115,6 +115,18 @@ def test_beams_that_a_cover_leaves_free_are_used() -> None:
     assert all(free[k] is scans[k] for k in (*range(10), *range(30, 40)))
 
 
+def test_without_odometry_the_matches_tell_that_a_cover_rides_along() -> None:
+    scans = [replace(scan_at(k, 0.1 * k), T_odom_base=None) for k in range(40)]
+    is_cut = np.arange(len(scans[0].ranges)) < 0.65 * len(scans[0].ranges)
+    for k in range(10, 30):
+        scans[k] = replace(scans[k], ranges=np.where(is_cut, 0.9, scans[k].ranges))
+    blind, told = BlindScans(), []
+    for k, scan in enumerate(scans):
+        told.append(blind.look_at(scan))
+        blind.found_at(np.array([0.1 * k, 0.0, 0.0]))
+    assert told == [None] * 10 + ["partly covered"] * 20 + [None] * 10
+
+
 def test_somebody_who_steps_before_the_laser_does_not_cover_it() -> None:
     scans = [scan_at(k, 0.1 * k) for k in range(20)]
     n = len(scans[0].ranges)

@@ -1,7 +1,7 @@
 from slammot_graph.core.events import Event
-from slammot_graph.core.match_result import MatchResult
+from slammot_graph.core.match_result import UNLIKELY_NIS, MatchResult
 from slammot_graph.core.results import Health
-from slammot_graph.localization.health import HealthMonitor
+from slammot_graph.localization.health import UNLIKELY, HealthMonitor
 from tests.localization.matches import CONTRADICTING, FAILED, MATCH, match_with
 
 DEGENERATE = match_with(status="degenerate")
@@ -45,6 +45,16 @@ def test_a_contradiction_ends_after_some_matches_that_agree() -> None:
 
 def test_a_degenerate_match_may_contradict_too() -> None:
     assert follow(match_with(status="degenerate", contradicts_odometry=True))[0] == ["contradiction"]
+
+
+def test_a_row_of_unlikely_innovations_is_a_contradiction_until_as_many_are_likely() -> None:
+    unlikely, likely = match_with(nis=UNLIKELY_NIS + 1.0), match_with(nis=UNLIKELY_NIS - 1.0)
+    states, events = follow(unlikely, unlikely, likely, unlikely, unlikely)
+    assert (states, events) == (["healthy"] * 5, [])
+    states, events = follow(unlikely, unlikely, unlikely, likely, likely, unlikely, likely, likely, likely)
+    assert states == ["healthy", "healthy", *["contradiction"] * 6, "recovered"]
+    assert [(event.kind, event.scan) for event in events] == [("contradiction", 3), ("recovered", 9)]
+    assert events[0].data["reason"] == UNLIKELY
 
 
 def test_another_contradiction_or_a_failure_begins_the_row_anew() -> None:

@@ -1,7 +1,7 @@
 """The odometry's parameters, recovered from simulated drives; see `OdometryReport` for what each means."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -29,6 +29,7 @@ class Faults:
     heading_scale: float = 1.0
     bias_rad_per_m: float = 0.0
     direction_rad: float = 0.0
+    laser_shift_m: tuple[float, float] = (0.0, 0.0)
     noise_std: tuple[float, float, float] = (0.002, 0.002, 0.002)
     speed_m_s: float = 0.5
     turn_rad_s: float = 0.6
@@ -81,6 +82,7 @@ def calibrated(
     )
     stamps = 1.0 + np.arange(0.0, duration_s, 1.0 / RATE_HZ)
     scans = sampled(stamps + faults.offset_s, true)
+    scans = se2.compose(scans, np.array([*faults.laser_shift_m, 0.0]))
     matches = se2.compose(scans, rng.normal(0.0, 1.0, scans.shape) * MATCH_STD)
     odometry = sampled(stamps, told)
     steps = se2.between(odometry[:-1], odometry[1:])
@@ -162,6 +164,17 @@ def test_a_mounting_that_is_turned_is_found(direction: float) -> None:
     assert is_near(found.distance_scale, 1.0, 0.02)
 
 
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (-0.3, 0.0), (0.1, 0.25)])
+@pytest.mark.parametrize(
+    "faults", [Faults(), Faults(distance_scale=0.9, heading_scale=1.1, direction_rad=0.3)]
+)
+def test_a_laser_that_sits_elsewhere_than_told_is_found(shift: tuple[float, float], faults: Faults) -> None:
+    found = calibrated(replace(faults, laser_shift_m=shift))
+    for estimated, true in zip(found.laser_shift_m, shift, strict=True):
+        assert is_near(estimated, true, 0.03)
+        assert estimated.std < 0.03
+
+
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_the_noise_is_found(times: float) -> None:
     """Of about so many times the noise model's standard deviation at the drive's usual step."""
@@ -198,6 +211,7 @@ def test_a_straight_drive_tells_nothing_of_turns() -> None:
     found = calibrated(Faults(turn_rad_s=0.0, distance_scale=1.2, noise_std=(0.002, 0.002, 0.0)))
     assert is_near(found.distance_scale, 1.2, 0.02)
     assert is_prior(found.heading_scale, 1.0)
+    assert all(is_prior(shift, 0.0) for shift in found.laser_shift_m)
 
 
 def test_turns_on_the_spot_tell_nothing_of_distances() -> None:
