@@ -109,6 +109,11 @@ ROWS = (
         test="tests/localization/test_blind_scans.py tests/test_cases.py -k blind or covered or same",
     ),
     Row(
+        fault="half of the beams covered; the floor seen from a ramp",
+        outcome="kept out of the map",
+        test="tests/test_pipeline_riding.py tests/detection/test_wide_kernels.py",
+    ),
+    Row(
         fault="an observer of one's own fails",
         outcome="the run ends, its results are kept",
         test="tests/test_observer.py -k fails or begin",

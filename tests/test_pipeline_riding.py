@@ -1,0 +1,48 @@
+"""What comes up before the laser and rides along with the robot: in the map it would hold the robot back."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from slammot_graph.core.types import FloatArray
+from slammot_graph.evaluation import absolute_error
+from slammot_graph.pipeline import Pipeline, PipelineConfig
+from slammot_graph.simulation import simulate
+
+N_BEFORE, N_RIDING, LASER_HEIGHT_M, PITCH_RAD = 300, 60, 0.3, 0.12
+
+
+def cover(ranges: FloatArray, angles: FloatArray) -> FloatArray:
+    """Half of the beams end 1.2 m away."""
+    is_before = np.arange(len(ranges)) < len(ranges) // 2
+    return np.where(is_before, np.minimum(ranges, 1.2), ranges)
+
+
+def ramp(ranges: FloatArray, angles: FloatArray) -> FloatArray:
+    """The laser looks down onto the floor: a line across the way, 2.5 m ahead."""
+    down = np.cos(angles) * np.sin(PITCH_RAD)
+    floor = np.divide(LASER_HEIGHT_M, down, out=np.full(len(ranges), np.inf), where=down > 1e-3)
+    return np.minimum(ranges, floor)
+
+
+@pytest.mark.parametrize("seen_through", [cover, ramp])
+@pytest.mark.parametrize("has_odometry", [True, False])
+def test_what_rides_along_does_not_hold_the_robot_back(
+    seen_through: Callable[[FloatArray, FloatArray], FloatArray], has_odometry: bool
+) -> None:
+    log = simulate("hall", seed=62, laser="utm30lx")
+    rng, found = np.random.default_rng(0), list[FloatArray]()
+    with Pipeline(PipelineConfig()) as pipeline:
+        for k, scan in enumerate(islice(log, N_BEFORE + N_RIDING)):
+            ranges = scan.ranges
+            if k >= N_BEFORE:
+                seen = seen_through(np.where(np.isfinite(ranges), ranges, np.inf), scan.laser.angles_base)
+                ranges = np.where(seen < ranges, seen + rng.normal(0.0, 0.01, len(seen)), ranges)
+            T_odom_base = scan.T_odom_base if has_odometry else None
+            found.append(pipeline.step(replace(scan, ranges=ranges, T_odom_base=T_odom_base)).T_map_base)
+    driven_m = np.linalg.norm(log.T_world_base[len(found) - 1, :2] - log.T_world_base[N_BEFORE, :2])
+    assert driven_m > 2.0
+    assert absolute_error(np.array(found), log.T_world_base[: len(found)]).translation_m.max < 0.35
