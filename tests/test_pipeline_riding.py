@@ -25,7 +25,8 @@ def ramp(ranges: FloatArray, angles: FloatArray) -> FloatArray:
     """The laser looks down onto the floor: a line across the way, 2.5 m ahead."""
     down = np.cos(angles) * np.sin(PITCH_RAD)
     floor = np.divide(LASER_HEIGHT_M, down, out=np.full(len(ranges), np.inf), where=down > 1e-3)
-    return np.minimum(ranges, floor)
+    seen: FloatArray = np.minimum(ranges, floor)
+    return seen
 
 
 @pytest.mark.parametrize("seen_through", [cover, ramp])
