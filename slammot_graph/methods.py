@@ -44,7 +44,7 @@ _ICP = PipelineConfig(
 _DETECTOR = EllipseDetectorConfig(
     test_covariance=ConstantNoise(),
     ellipse_test=EllipseTestConfig(margin_cells=None, track_reach_m=None),
-    clusters=ClusterConfig(split=None, mapped_share=1.0),
+    clusters=ClusterConfig(split=None),
     visibility_check=None,
     retest=None,
     backward_pass=False,

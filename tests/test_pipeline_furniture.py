@@ -78,8 +78,8 @@ LEGS = np.vstack(
 
 
 def there_and_back(k: int) -> FloatArray:
-    """A robot that drives to and fro, looking about."""
-    return np.array([-3.0 + 1.5 * np.sin(0.02 * k), 0.3 * np.sin(0.033 * k), 0.25 * np.sin(0.05 * k)])
+    """A robot that drives to and fro within the room, looking about."""
+    return np.array([-2.2 + 1.5 * np.sin(0.02 * k), 0.3 * np.sin(0.033 * k), 0.25 * np.sin(0.05 * k)])
 
 
 def test_legs_of_chairs_seen_now_and_then_from_afar_do_not_move() -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slammot_graph.core.checks import Checked, Count, CountOrZero, Positive, PositiveShare
+from slammot_graph.core.checks import Checked, Count, CountOrZero, Positive
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection import _cluster_kernels
 
@@ -41,10 +41,6 @@ class ClusterConfig(Checked):
         MAX X RANGE, MAX Y RANGE: wider subsets are discarded, unless they can be split.
     split : SplitConfig or None
         None: wide subsets are not split.
-    mapped_share : float
-        Where more than this share of the valid beams ends on free cells, what is too wide stays out of the map as long
-        as its cells are known to be free: walls do not come, and what covers the laser, or the floor before a robot
-        that tilts, rides along and would take the map with it. 1: never, as in the paper.
     """
 
     max_gap_m: Positive = 0.6
@@ -53,7 +49,6 @@ class ClusterConfig(Checked):
     max_x_range_m: Positive = 1.5
     max_y_range_m: Positive = 1.5
     split: SplitConfig | None = field(default_factory=SplitConfig)
-    mapped_share: PositiveShare = 0.2
 
     def kernel_arguments(self) -> tuple[float, int, int, float, float, float, int]:
         """Give what the kernels take, in their order: without a split its gap is 0."""

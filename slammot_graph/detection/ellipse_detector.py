@@ -65,12 +65,17 @@ class RetestConfig(Checked):
         what the test at the matched pose calls moving; 1: never.
     min_kernel_factor : float
         The kernel gets narrower down to this share of its scale.
+    mapped_share : float
+        Where more than this share of the valid beams ends on free cells, what is too wide for a person stays out of the
+        map as long as its cells are known to be free: walls do not come, and what covers the laser, or the floor before
+        a robot that tilts, rides along and would take the map with it. 1: never.
     """
 
     same_cells: Share = 0.2
     abstain_nis: PositiveOrInfinite = 50.0
     crowd_share: Share = 0.15
     min_kernel_factor: PositiveShare = 0.4
+    mapped_share: PositiveShare = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,6 +214,7 @@ class EllipseDetector:
             reach_m,
             self._hits,
             walks_along,
+            1.0 if self.config.retest is None else self.config.retest.mapped_share,
         )
 
     def retest(

@@ -120,6 +120,7 @@ def detect_moving(
     vacated_reach_m: float = 0.5,
     hits: HitMemory | None = None,
     walks_along: BoolArray | None = None,
+    mapped_share: float = 1.0,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -143,6 +144,8 @@ def detect_moving(
         What was hit before, frame a.
     walks_along : (n,) bool array, optional
         Beams that move though their cells are occupied or unknown, as `MatchResult.walks_along`.
+    mapped_share : float
+        As of `RetestConfig`.
     """
     expected = _NOWHERE if predicted_positions is None else predicted_positions
     points, packed, reason = _test(scan, is_valid, T_a_base, cov_pose, grid, config)
@@ -168,11 +171,11 @@ def detect_moving(
         cluster,
         is_moving,
     )
-    if clusters.mapped_share < 1.0:
+    if mapped_share < 1.0:
         _wide_kernels.mark_wide(
             points,
             is_valid,
-            clusters.mapped_share,
+            mapped_share,
             clusters.max_gap_m,
             clusters.max_skipped_beams,
             clusters.max_x_range_m,

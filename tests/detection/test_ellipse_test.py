@@ -35,9 +35,14 @@ def seen_room(window_m: float | None = None) -> OccupancyGrid:
 
 
 def detect(
-    scan: Scan, grid: OccupancyGrid, config: EllipseTestConfig, cov: np.ndarray = SMALL_COV
+    scan: Scan,
+    grid: OccupancyGrid,
+    config: EllipseTestConfig,
+    cov: np.ndarray = SMALL_COV,
+    mapped_share: float = 1.0,
 ) -> Detection:
-    return detect_moving(scan, scan.is_valid(), POSE, cov, grid, config, ClusterConfig())
+    is_valid, clusters = scan.is_valid(), ClusterConfig()
+    return detect_moving(scan, is_valid, POSE, cov, grid, config, clusters, mapped_share=mapped_share)
 
 
 @pytest.mark.parametrize("window_m", [None, 40.0])
@@ -166,7 +171,7 @@ def before_it(pose: np.ndarray, distance_m: float, share: float) -> Scan:
 
 def test_something_wide_on_free_cells_neither_moves_nor_enters_the_map() -> None:
     scan = before_it(POSE, 1.2, 0.5)
-    found = detect(scan, seen_room(), EllipseTestConfig())
+    found = detect(scan, seen_room(), EllipseTestConfig(), mapped_share=0.2)
     is_before = scan.ranges < take_scan(POSE).ranges - 0.2
     assert np.count_nonzero(is_before) > 0.3 * len(is_before)
     assert not found.is_moving.any()
@@ -179,8 +184,7 @@ def test_something_wide_on_free_cells_neither_moves_nor_enters_the_map() -> None
 def test_something_wide_is_mapped_where_it_is_little_of_the_scan_or_as_in_the_paper(
     mapped_share: float,
 ) -> None:
-    scan, clusters = before_it(POSE, 1.2, 0.5), ClusterConfig(mapped_share=mapped_share)
-    found = detect_moving(scan, scan.is_valid(), POSE, SMALL_COV, seen_room(), EllipseTestConfig(), clusters)
+    found = detect(before_it(POSE, 1.2, 0.5), seen_room(), EllipseTestConfig(), mapped_share=mapped_share)
     assert (found.reason == reasons.DISCARDED).any()
     assert not (found.reason == reasons.TOO_WIDE).any()
 
