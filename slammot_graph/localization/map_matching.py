@@ -27,7 +27,7 @@ MOST = 0.5
 """Fewer of the returns than most make no pose, however it leads."""
 
 REACH = 2.0
-"""A robot may have driven so many times as far as it is told; `adrift_m` besides."""
+"""A robot may have driven and turned so many times as far as it is told; `adrift_m` and `lost_std_rad` besides."""
 
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
@@ -305,11 +305,17 @@ class MapMatching:
     def _is_reachable(self, T_local_base: FloatArray, start: MotionState) -> bool:
         """Tell whether the robot can be at a pose (3,): about as far from the scan before as it is told, or just drove.
 
-        What rises before a robot that tilts looks like the wall behind it, metres nearer.
+        What rises before a robot that tilts looks like the wall behind it, metres nearer, or like one beside it.
         """
         before, earlier = self._T_local_lately
-        way_m = max(se2.distance(before, start.T_local_base)[0], se2.distance(earlier, before)[0])
-        return se2.distance(before, T_local_base)[0] <= self.config.adrift_m + REACH * way_m
+        (told_m, told_rad), (lately_m, lately_rad) = (
+            se2.distance(before, start.T_local_base),
+            se2.distance(earlier, before),
+        )
+        way_m, turn_rad = se2.distance(before, T_local_base)
+        return way_m <= self.config.adrift_m + REACH * max(
+            told_m, lately_m
+        ) and turn_rad <= self.config.lost_std_rad + REACH * max(told_rad, lately_rad)
 
     def _leads(
         self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float
