@@ -25,6 +25,9 @@ T = TypeVar("T")
 _NONE = "none"
 _TYPE_KEY = "type"
 
+LARGEST_INTEGER = 2**53
+"""Beyond it integers have no exact floating-point number, and far beyond it none at all."""
+
 
 def load_config(path: str | Path, default: T) -> T:
     """Read a TOML file over a configuration: what the file does not name stays as in `default`.
@@ -226,6 +229,8 @@ def _parse_one(value: Any, hint: Any, default: Any, place: _Place) -> Any:
 
 def _parse_scalar(value: Any, hint: Any, place: _Place) -> Any:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if is_number and isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+        raise place.error(f"integers must lie within +-{LARGEST_INTEGER} (2^53)")
     if hint is float and is_number:
         return float(value)
     if hint is float and value in ("inf", "-inf", "nan"):
