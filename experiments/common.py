@@ -152,7 +152,7 @@ def run_cells(
     InputError
         Another process writes the same results, or a cell failed; the others are kept.
     """
-    place = f"{function.__module__}:{function.__qualname__}"
+    place = f"{_module_of(function)}:{function.__qualname__}"
     code = version_of(place)
     planned = {key: _cell(key, place, code, arguments) for key, arguments in cells.items()}
     store = CellStore(options.folder("results"), name, everybody=False)
@@ -176,6 +176,12 @@ def run_cells(
             f"{name}: {len(errors)} of {len(cells)} cells failed, the others are kept in {store.path}"
         )
     return {key: records[cell.digest]["scores"] for key, cell in planned.items()}
+
+
+def _module_of(function: Callable[..., Scores]) -> str:
+    """Name by which other processes import a function's module: of the program that runs it is not `__main__`."""
+    spec = sys.modules[function.__module__].__spec__
+    return function.__module__ if spec is None else spec.name
 
 
 def _cell(key: str, function: str, code: str, arguments: Arguments) -> Cell:

@@ -5,6 +5,8 @@ import json
 import math
 import multiprocessing
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.synchronize import Event
@@ -267,3 +269,34 @@ def test_seeds_as_asked_for() -> None:
     assert Options(quick=True).seed_range(20) == range(2)
     assert Options(quick=True).seed_range(20, quick=1) == range(1)
     assert Options(quick=True, seeds=7).seed_range(20) == range(7)
+
+
+PROGRAM = """
+import sys
+from experiments.common import main, run_cells
+
+def cell(x):
+    return {"double": 2.0 * x}
+
+def experiment(options):
+    scores = run_cells("doubles", cell, {f"{x}": {"x": x} for x in (1.0, 2.0)}, options)
+    print(sorted(one["double"] for one in scores.values()))
+
+if __name__ == "__main__":
+    sys.exit(main(experiment))
+"""
+
+
+def test_a_program_computes_its_cells_in_processes_of_their_own(tmp_path: Path) -> None:
+    """There its functions are those of the module that was asked for, not of the program that runs."""
+    (tmp_path / "doubles.py").write_text(PROGRAM, encoding="utf-8")
+    root = Path(common.__file__).parents[1]
+    told = subprocess.run(
+        [sys.executable, "-m", "doubles", "--jobs", "2", "--output", str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{root}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert told.returncode == 0, told.stderr
+    assert "[2.0, 4.0]" in told.stdout
