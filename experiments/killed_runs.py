@@ -132,8 +132,8 @@ def _start(words: list[str]) -> "subprocess.Popen[str]":
 
 
 def _whole(log: str) -> tuple[Path, float]:
-    """Folder of the run that nobody killed, made once, and how long it took [s]."""
-    folder = Path(tempfile.gettempdir()) / f"killed_runs_{os.getppid()}_{N_SCANS}"
+    """Folder of the run that nobody killed, made once by each process, and how long it took [s]."""
+    folder = Path(tempfile.gettempdir()) / f"killed_runs_{os.getpid()}_{N_SCANS}"
     clock = folder / "took_s"
     if not clock.exists():
         start = time.monotonic()
