@@ -11,7 +11,7 @@ REASONS = (
     "static: an unknown cell under the ellipse",
     "moving: only free cells under the ellipse",
     "static: the ellipse is too large to decide",
-    "static: free cells only, but its cluster is too small, or too wide and split",
+    "static: free cells only, but its cluster is too small or too wide",
     "static: too much of the scan seemed to move, or the match failed",
     "moving: where a tracked object was expected, and no occupied cell",
     "static: this method makes no test",

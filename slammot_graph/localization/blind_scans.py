@@ -83,8 +83,8 @@ class BlindScans:
     def found_at(self, T_local_base: FloatArray) -> None:
         """Take in where the robot (3,) was found to be at the latest scan."""
         if self._T_local_base is not None:
-            x, y, theta = se2.between(self._T_local_base, T_local_base)
-            self._is_moving = bool(np.hypot(x, y) > STEP_M or abs(theta) > STEP_RAD)
+            way_m, turn_rad = se2.distance(self._T_local_base, T_local_base)
+            self._is_moving = way_m > STEP_M or turn_rad > STEP_RAD
         self._T_local_base = T_local_base
 
     def emptied(self, scan: Scan) -> tuple[Scan, tuple[Event, ...]]:
@@ -140,8 +140,8 @@ class _OneLaser:
         T_odom_fresh = self._fresh[key]
         if scan.T_odom_base is None or T_odom_fresh is None:
             return self._is_stale or is_moving
-        x, y, theta = se2.between(T_odom_fresh, scan.T_odom_base)
-        return bool(np.hypot(x, y) > MOVED_M or abs(theta) > MOVED_RAD)
+        way_m, turn_rad = se2.distance(T_odom_fresh, scan.T_odom_base)
+        return way_m > MOVED_M or turn_rad > MOVED_RAD
 
     def _is_covered(self, scan: Scan, T_base: FloatArray | None) -> bool:
         view = _View(scan.stamp, scan.ranges, T_base)
@@ -212,8 +212,8 @@ class _OneLaser:
             return False
         if cover.T_base is None or view.T_base is None:
             return True
-        x, y, theta = se2.between(cover.T_base, view.T_base)
-        if np.hypot(x, y) < DRIVEN_M and abs(theta) < DRIVEN_RAD:
+        way_m, turn_rad = se2.distance(cover.T_base, view.T_base)
+        if way_m < DRIVEN_M and turn_rad < DRIVEN_RAD:
             return True
         is_same = np.abs(now - then) <= SAME_M + SAME_SHARE_OF_RANGE * then
         self._cover = view._replace(is_cut=cover.is_cut, has_come=cover.has_come)
@@ -224,8 +224,8 @@ def _is_apart(before: _View, view: _View) -> bool:
     """Whether the robot has driven or turned far between two views, as far as that is known."""
     if before.T_base is None or view.T_base is None:
         return False
-    x, y, theta = se2.between(before.T_base, view.T_base)
-    return bool(np.hypot(x, y) > APART_M or abs(theta) > APART_RAD)
+    way_m, turn_rad = se2.distance(before.T_base, view.T_base)
+    return way_m > APART_M or turn_rad > APART_RAD
 
 
 def _has_returns(scan: Scan) -> bool:

@@ -279,6 +279,7 @@ class MapMatching:
         anywhere = start.loosened(wide)._replace(cov_prior=wide, cov_independent=wide)
         agreement = self.agreement(doubtful)
         needed = max(agreement + self.config.agreement_gain, self.config.min_agreement)
+        most_m, most_rad = self._farthest(start)
         reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
         rounds = [self._starts_before() + self._turned_starts(start, 0.0, reach_rad)]
         is_astray = not self.is_adrift and agreement < self.config.astray_share * self._usual_agreement
@@ -293,7 +294,8 @@ class MapMatching:
         for starts in rounds:
             for T in starts:
                 match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
-                if match.status == "converged" and (self.is_adrift or self._is_reachable(T_found, start)):
+                way_m, turn_rad = se2.distance(self._T_local_lately[0], T_found)
+                if match.status == "converged" and way_m <= most_m and turn_rad <= most_rad:
                     found.append((match.inlier_ratio, T_found))
             best = max(found, key=itemgetter(0), default=None)
             if best is not None and best[0] > needed:
@@ -302,20 +304,20 @@ class MapMatching:
             return None
         return anywhere._replace(T_local_base=best[1])
 
-    def _is_reachable(self, T_local_base: FloatArray, start: MotionState) -> bool:
-        """Tell whether the robot can be at a pose (3,): about as far from the scan before as it is told, or just drove.
+    def _farthest(self, start: MotionState) -> tuple[float, float]:
+        """How far the robot can be [m, rad] from where it was at the scan before: about as far as told, or as lately.
 
         What rises before a robot that tilts looks like the wall behind it, metres nearer, or like one beside it.
         """
+        if self.is_adrift:
+            return math.inf, math.inf
         before, earlier = self._T_local_lately
-        (told_m, told_rad), (lately_m, lately_rad) = (
-            se2.distance(before, start.T_local_base),
-            se2.distance(earlier, before),
+        told_m, told_rad = se2.distance(before, start.T_local_base)
+        lately_m, lately_rad = se2.distance(earlier, before)
+        return (
+            self.config.adrift_m + REACH * max(told_m, lately_m),
+            self.config.lost_std_rad + REACH * max(told_rad, lately_rad),
         )
-        way_m, turn_rad = se2.distance(before, T_local_base)
-        return way_m <= self.config.adrift_m + REACH * max(
-            told_m, lately_m
-        ) and turn_rad <= self.config.lost_std_rad + REACH * max(told_rad, lately_rad)
 
     def _leads(
         self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float

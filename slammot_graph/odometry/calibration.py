@@ -7,7 +7,7 @@ the drive does not excite keeps its prior, with an infinite standard deviation.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -200,17 +200,11 @@ class SelfCalibration:
             heading_scale=heading[0],
             heading_bias_rad_per_m=heading[1],
         )
-        noise_m, noise_rad = self._fit_noise(windows, first)
-        self.now = OdometryCalibration(
-            clock_offset_s=offset,
-            distance_scale=distance,
-            direction_rad=direction,
-            heading_scale=heading[0],
-            heading_bias_rad_per_m=heading[1],
-            laser_shift_m=self._fit_shift(windows, joined(first.corrected(windows.steps))),
-            noise_scale_m=noise_m,
-            noise_scale_rad=noise_rad,
-        )
+        increments = first.corrected(windows.steps)
+        told = joined(increments)
+        noise_m, noise_rad = self._fit_noise(windows, increments, told)
+        shift = self._fit_shift(windows, told)
+        self.now = replace(first, laser_shift_m=shift, noise_scale_m=noise_m, noise_scale_rad=noise_rad)
 
     def _fit_offset(self, rows: FloatArray, history: OdometryHistory) -> Estimated:
         """The clock offset by a grid search, refined; 0 with the curvature's standard deviation where none is clear."""
@@ -343,10 +337,14 @@ class SelfCalibration:
         stds = stds_of(fit, prior[1], n_series=2)
         return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
 
-    def _fit_noise(self, windows: Windows, calibration: OdometryCalibration) -> tuple[Estimated, Estimated]:
-        """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own."""
-        increments = calibration.corrected(windows.steps)
-        errors = se2.log(se2.between(joined(increments), windows.found))
+    def _fit_noise(
+        self, windows: Windows, increments: FloatArray, told: FloatArray
+    ) -> tuple[Estimated, Estimated]:
+        """Scale of the noise's standard deviation, from how the windows' residuals spread beyond the matches' own.
+
+        By the mended increments (n, k, 3), and the motion (n, 3) that they make.
+        """
+        errors = se2.log(se2.between(told, windows.found))
         variances = (
             self.noise_variances(increments.reshape(-1, 3)).reshape(*increments.shape[:2], 2).sum(axis=1)
         )
