@@ -48,8 +48,9 @@ class Run:
     Parameters
     ----------
     log : iterable of Scan
-        A `LaserLog`, or any other source of scans; a live one need not know its length and is not read twice. Where
-        the mounting of a recorded laser is only assumed, and for the robot's own body, its beginning is read before.
+        A `LaserLog`, or any other source of scans, as some of a log's; they are counted anew. A live one need not know
+        its length and is not read twice. Where the mounting of a recorded laser is only assumed, and for the robot's
+        own body, its beginning is read before.
     method : str
         A name of the method registry.
     config : PipelineConfig or KissIcpConfig, optional
@@ -128,7 +129,7 @@ class Run:
         try:
             self._observers.on_start(self._info())
             session.is_observed = True
-            scans = islice(self.log, self.max_scans)
+            scans = _numbered(islice(self.log, self.max_scans))
             if session.frozen is not None:
                 session.thaw(scans)
             for scan in scans:
@@ -323,6 +324,12 @@ def _track_rows(tracks: SmoothedTracks, rows: npt.NDArray[Any]) -> FloatArray:
     stamps, indices = rows["stamp"][tracks.scans], rows["index"][tracks.scans]
     covs = tracks.covs[:, [0, 0, 1], [0, 1, 1]]
     return np.column_stack([stamps, tracks.ids, tracks.states, covs, indices])
+
+
+def _numbered(scans: Iterable[Scan]) -> Iterator[Scan]:
+    """Count scans from 0, as all that is kept of them is addressed."""
+    for number, scan in enumerate(scans):
+        yield scan if scan.index == number else replace(scan, index=number)
 
 
 def _skipped(log: Any) -> Sequence[SkippedScan]:

@@ -232,6 +232,16 @@ def test_the_first_scans_alone_are_a_whole_run() -> None:
         Run(log, max_scans=0)
 
 
+def test_a_part_of_a_log_is_a_whole_run() -> None:
+    part = drive(40).scans[15:]
+    result = Run(part).complete()
+    counted = Run([replace(scan, index=k) for k, scan in enumerate(part)]).complete()
+    assert result.is_complete
+    np.testing.assert_array_equal(result.T_map_base, counted.T_map_base)
+    np.testing.assert_array_equal(result.grid.p_occupied, counted.grid.p_occupied)
+    np.testing.assert_array_equal(result.is_moving, counted.is_moving)
+
+
 def test_threads_end_with_the_run() -> None:
     def n_threads() -> int:
         return sum(thread.name.startswith("pose-graph") for thread in threading.enumerate())
