@@ -131,7 +131,7 @@ class Pipeline:
             is_static,
             matched.T_local_base,
             is_keyframe=committed.is_keyframe,
-            is_lost=committed.is_lost,
+            is_lost=committed.is_lost and not committed.is_place_known,
         )
         watch.lap("map")
         tracks = self._track(scan, is_valid, detection, points, matched.T_local_base)

@@ -149,7 +149,7 @@ def test_a_failed_match_calls_nothing_moving() -> None:
         assert step.match is not None
         assert step.match.status == "failed"
         assert not step.is_moving.any()
-        assert (step.reason == reasons.ABSTAINED).any()
+        assert (step.reason == reasons.UNSUPPORTED).any()
 
 
 @pytest.mark.parametrize("value", [-0.1, 0.0, float("nan")])

@@ -21,11 +21,16 @@ def cover(ranges: FloatArray, angles: FloatArray) -> FloatArray:
     return np.where(is_before, np.minimum(ranges, 1.2), ranges)
 
 
+def on_floor(angles: FloatArray, pitch_rad: float) -> FloatArray:
+    """Ranges of a laser that looks down onto the floor: a line across the way."""
+    down = np.cos(angles) * np.sin(pitch_rad)
+    floor: FloatArray = np.divide(LASER_HEIGHT_M, down, out=np.full(len(angles), np.inf), where=down > 1e-3)
+    return floor
+
+
 def ramp(ranges: FloatArray, angles: FloatArray) -> FloatArray:
-    """The laser looks down onto the floor: a line across the way, 2.5 m ahead."""
-    down = np.cos(angles) * np.sin(PITCH_RAD)
-    floor = np.divide(LASER_HEIGHT_M, down, out=np.full(len(ranges), np.inf), where=down > 1e-3)
-    seen: FloatArray = np.minimum(ranges, floor)
+    """The floor is 2.5 m ahead."""
+    seen: FloatArray = np.minimum(ranges, on_floor(angles, PITCH_RAD))
     return seen
 
 
@@ -58,6 +63,21 @@ def test_what_rides_along_does_not_hold_the_robot_back(
     log = simulate("hall", seed=62, laser="utm30lx")
     found = driven(log, seen_through, has_odometry=has_odometry)
     assert absolute_error(found, log.T_world_base[: len(found)]).translation_m.max < 0.35
+
+
+@pytest.mark.parametrize("first", [380, 670, 960])
+def test_a_robot_that_drives_over_a_ramp_goes_on_by_its_odometry(first: int) -> None:
+    """The floor comes up on free cells, nearer and nearer, until it is most of what a laser of a half circle sees."""
+    pitches = np.radians(9.0) * np.interp(np.arange(150), [60, 85, 105, 130], [0.0, 1.0, 1.0, 0.0])
+    log = simulate("hall", seed=73)
+    rng, found = np.random.default_rng(0), list[FloatArray]()
+    with Pipeline(PipelineConfig()) as pipeline:
+        for k, (scan, pitch) in enumerate(zip(islice(log, first, None), pitches, strict=False)):
+            floor = on_floor(scan.laser.angles_base, pitch) + rng.normal(0.0, 0.02, len(scan.ranges))
+            ranges = np.fmin(scan.ranges, floor)
+            found.append(pipeline.step(replace(scan, index=k, ranges=ranges)).T_map_base)
+    truth = log.T_world_base[first : first + len(found)]
+    assert absolute_error(np.array(found), truth).translation_m.max < 0.3
 
 
 def test_the_floor_is_not_taken_for_the_wall_behind_it() -> None:

@@ -36,8 +36,10 @@ class Detection(NamedTuple):
     packed_cov: FloatArray
 
     def is_mapped(self, is_valid: BoolArray) -> BoolArray:
-        """(n,) returns that enter the map: static, and not of something wide that lies on free cells."""
-        is_mapped: BoolArray = is_valid & ~self.is_moving & (self.reason != reasons.TOO_WIDE)
+        """(n,) returns that enter the map: static, and not kept out of it because they lie on free cells."""
+        is_mapped: BoolArray = is_valid & ~self.is_moving
+        for reason in reasons.NOT_MAPPED:
+            is_mapped &= self.reason != reason
         return is_mapped
 
     def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
@@ -66,12 +68,13 @@ class Detection(NamedTuple):
             packed_cov=np.zeros((n, 3)),
         )
 
-    def abstain(self) -> "Detection":
-        """Reject what was called moving, and what was kept out of the map: nothing is."""
+    def abstain(self, *, is_mapped: bool) -> "Detection":
+        """Reject what was called moving, and what was too wide: nothing is. It enters the map, or is kept out of it."""
         is_rejected = self.is_moving | (self.reason == reasons.TOO_WIDE)
+        reason = reasons.ABSTAINED if is_mapped else reasons.UNSUPPORTED
         return self._replace(
             is_moving=np.zeros_like(self.is_moving),
-            reason=np.where(is_rejected, reasons.ABSTAINED, self.reason),
+            reason=np.where(is_rejected, reason, self.reason),
             cluster=np.full_like(self.cluster, -1),
             n_clusters=0,
         )
@@ -178,7 +181,7 @@ class Detector(Protocol):
         is_keyframe : bool
             It went into the local map.
         is_lost : bool
-            The localizer has lost its place: what was remembered before lies elsewhere.
+            The robot's place is not known any more: what was remembered before lies elsewhere.
         """
 
     def retrospective_labels(

@@ -59,7 +59,7 @@ class RetestConfig(Checked):
     same_cells : float
         A match that moves the farthest points by less than this share of a cell leaves the test as it is.
     abstain_nis : float
-        None is called moving after a match whose normalised innovation squared is above this.
+        None is called moving after a match that failed, or whose normalised innovation squared is above this.
     crowd_share : float
         Where more than this share of a scan moves, it is matched once more with a narrower kernel, without
         what the test at the matched pose calls moving; 1: never.
@@ -68,7 +68,8 @@ class RetestConfig(Checked):
     mapped_share : float
         Where more than this share of the valid beams ends on free cells, what is too wide for a person stays out of the
         map as long as its cells are known to be free: walls do not come, and what covers the laser, or the floor before
-        a robot that tilts, rides along and would take the map with it. 1: never.
+        a robot that tilts, rides along and would take the map with it. So does what lies on free cells where too much
+        of the scan seems to move, or at a pose that no match supports. 1: never.
     """
 
     same_cells: Share = 0.2
@@ -233,10 +234,8 @@ class EllipseDetector:
         retest = self.config.retest
         if retest is None:
             return detection
-        if match.status == "failed":
-            return detection.abstain()
-        if match.nis > retest.abstain_nis:
-            return detection.abstain()
+        if match.status == "failed" or match.nis > retest.abstain_nis:
+            return detection.abstain(is_mapped=retest.mapped_share == 1.0)
         if match.walks_along is not None:
             return self._detect(scan, is_valid, matched, predicted_positions, match.walks_along)
         distance_m, turn_rad = se2.distance(self._T_tested, matched.T_local_base)

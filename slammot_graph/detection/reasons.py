@@ -2,8 +2,8 @@
 
 (
     NOT_VALID, OCCUPIED, UNKNOWN, FREE, TOO_UNCERTAIN, DISCARDED, ABSTAINED, TRACKED, NOT_TESTED, VACATED, FURNITURE,
-    ALONG, TOO_WIDE,
-) = range(13)  # fmt: skip
+    ALONG, TOO_WIDE, UNSUPPORTED,
+) = range(14)  # fmt: skip
 
 REASONS = (
     "no valid return",
@@ -19,4 +19,7 @@ REASONS = (
     "static: free cells only, but most of its cluster lies where static points lay before",
     "moving: on a small thing that alone pulls the match away from the odometry",
     "neither: free cells only, and wider than a person; kept out of the map as long as the cells are known to be free",
+    "neither: free cells only, but so is too much of the scan, or the match failed; kept out of the map as those",
 )
+NOT_MAPPED = (TOO_WIDE, UNSUPPORTED)
+"""Neither moving nor static."""

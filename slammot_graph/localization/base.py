@@ -83,7 +83,10 @@ class CommitResult:
     is_keyframe : bool
         The scan went into the local map.
     is_lost : bool
-        The localizer has lost its place at this scan: what was remembered before lies elsewhere.
+        The localizer has lost its place at this scan.
+    is_place_known : bool
+        The prediction goes on nevertheless, and only the local map cannot be used any more; otherwise what was
+        remembered before lies elsewhere.
     expects_match : bool
         False where the localizer matches once in a while, and this scan lies in between.
     is_mapped : bool
@@ -99,6 +102,7 @@ class CommitResult:
     node: int | None = None
     is_keyframe: bool = False
     is_lost: bool = False
+    is_place_known: bool = False
     expects_match: bool = True
     is_mapped: bool = True
     closures: tuple[ClosureAttempt, ...] = ()

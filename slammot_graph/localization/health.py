@@ -7,8 +7,12 @@ from slammot_graph.core.match_result import UNLIKELY_NIS, MatchResult
 from slammot_graph.core.results import Health
 
 N_CONSISTENT = 5
-"""So many matches in a row that converge and agree with the odometry end a contradiction, or being lost; so many in a
-row that converge and are unlikely given the odometry begin one."""
+"""So many matches in a row that converge and agree with the odometry end a contradiction, or being lost; so many that
+are unlikely given the odometry begin one, less what others make up for."""
+
+LIKELY = 0.5
+"""A match that is likely makes up for so many that are not (a cumulative sum; Page, 1954). Where odometry and match are
+as good as they say one in a thousand is unlikely: on recorded logs the sum was at most 2."""
 
 UNLIKELY = "one match after the other is farther from where it was predicted than both can err"
 
@@ -25,8 +29,8 @@ class HealthMonitor:
 
     - healthy: the match converged and agrees with the odometry, or the method makes no matches.
     - degenerate: the match failed, left a direction open, or could not be made.
-    - contradiction: odometry and match tell of different motions, at once or by a row of `n_consistent` unlikely
-      innovations, and until `n_consistent` matches in a row agree.
+    - contradiction: odometry and match tell of different motions, at once or by `n_consistent` unlikely innovations
+      (less `LIKELY` for each of the others), and until `n_consistent` matches in a row agree.
     - lost: the robot's place in the earlier map is not known, and until `n_consistent` matches in a row agree.
     - recovered: the scan at which a contradiction, or being lost, ends.
 
@@ -43,7 +47,7 @@ class HealthMonitor:
         self.n_consistent = n_consistent
         self.trouble: Literal["contradiction", "lost"] | None = None
         self._n_agreeing = 0
-        self._n_unlikely = 0
+        self._sum_unlikely = 0.0
         self._n_scans = 0
         self._is_first = True
 
@@ -65,16 +69,18 @@ class HealthMonitor:
         self._n_scans += self.trouble is not None
         is_expected, self._is_first = expects_match and not self._is_first, False
         is_unlikely = match is not None and match.nis > UNLIKELY_NIS
-        self._n_unlikely = self._n_unlikely + 1 if is_unlikely else 0
-        in_a_row = self._n_unlikely >= self.n_consistent
-        contradicts = in_a_row or (match is not None and match.contradicts_odometry)
+        if match is not None and match.status != "failed":
+            change = 1.0 if is_unlikely else -LIKELY
+            self._sum_unlikely = min(max(self._sum_unlikely + change, 0.0), self.n_consistent)
+        adds_up = self._sum_unlikely >= self.n_consistent
+        contradicts = adds_up or (match is not None and match.contradicts_odometry)
         events: tuple[Event, ...] = ()
         if is_lost:
             self._begin("lost")
         elif contradicts:
             if self.trouble is None:
                 self._begin("contradiction")
-                reason = UNLIKELY if in_a_row or match is None else match.reason
+                reason = UNLIKELY if adds_up or match is None else match.reason
                 events = (make_event("contradiction", scan, reason=reason),)
             self._n_agreeing = 0
         elif is_unlikely or (match is not None and match.status == "failed"):

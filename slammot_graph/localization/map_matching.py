@@ -8,7 +8,7 @@ from operator import itemgetter
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.match_result import MatchResult
+from slammot_graph.core.match_result import UNLIKELY_NIS, MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import fuse
 from slammot_graph.localization.company import CompanyCheck
@@ -28,6 +28,9 @@ MOST = 0.5
 
 REACH = 2.0
 """A robot may have driven and turned so many times as far as it is told; `adrift_m` and `lost_std_rad` besides."""
+
+MEAN_NIS = 3.0
+"""Of a match that is as far from its prediction as both err: its degrees of freedom."""
 
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
@@ -91,13 +94,8 @@ class MapMatching:
         """Take the noise of matches for so many times what the configuration says, from now on."""
         if scale == self._noise_scale:
             return
-        self._noise_scale, usual = scale, self.config.point_to_line
-        scaled = replace(
-            usual,
-            residual_std_m=scale * usual.residual_std_m,
-            floor_std_m=scale * usual.floor_std_m,
-        )
-        self.matcher = make_matcher(scaled)
+        self._noise_scale = scale
+        self.matcher = _noisier_matcher(self.config.point_to_line, scale)
 
     def match(
         self,
@@ -112,7 +110,8 @@ class MapMatching:
         A match with which most of the scan's returns agree may contradict the prediction: the covariance of the motion
         is stretched as Student's t asks for. Where fewer agree than usual, the prediction may be wrong, and with it
         what was called moving there: all returns (`is_valid`) are matched from other starts. Where no pose is agreed by
-        most of them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds.
+        most of them, much of what the laser sees moves, and what pulls away from the prediction may move too: it holds,
+        and the covariance of the match is stretched.
 
         A match with a narrower kernel that fails is made again with the usual one.
         """
@@ -196,7 +195,7 @@ class MapMatching:
                 if self.is_adrift and self.agreement(matched[0]) < needed:
                     strict = _matcher_failing_below(self.config.point_to_line, needed)
                     return self._match_from(points_base, is_static, start, matcher=strict), start
-                return matched, start
+                return self._held(points_base, is_static, matched, start), start
             self._elsewhere, self._static_share = elsewhere, 1.0
             return self._match_from(points_base, is_valid, elsewhere), elsewhere
         scale = self._tail_scale(matched[0], start)
@@ -207,6 +206,21 @@ class MapMatching:
             if self.agreement(second[0]) >= needed:
                 return second, loosened
         return matched, start
+
+    def _held(
+        self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
+    ) -> Match:
+        """Let the prediction hold against a match that is unlikely and that fewer returns agree with than usual.
+
+        Its noise is stretched until it is likely, as that of the motion is where most returns agree.
+        """
+        match = matched[0]
+        if match.status == "failed" or match.nis <= UNLIKELY_NIS:
+            return matched
+        scale = self._noise_scale * math.sqrt(match.nis / MEAN_NIS)
+        return self._match_from(
+            points_base, is_static, start, matcher=_noisier_matcher(self.config.point_to_line, scale)
+        )
 
     def _without_company(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
@@ -371,3 +385,14 @@ class MapMatching:
 def _matcher_failing_below(config: PointToLineConfig, least_agreement: float) -> Matcher[LocalMap]:
     """Give a matcher that fails only where a smaller share of the points agrees; with 0 none ever does."""
     return make_matcher(replace(config, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
+
+
+def _noisier_matcher(config: PointToLineConfig, scale: float) -> Matcher[LocalMap]:
+    """Give a matcher that takes the noise of matches for so many times what the configuration says."""
+    return make_matcher(
+        replace(
+            config,
+            residual_std_m=scale * config.residual_std_m,
+            floor_std_m=scale * config.floor_std_m,
+        )
+    )

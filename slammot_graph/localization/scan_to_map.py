@@ -169,6 +169,7 @@ class ScanToMap:
             node=node,
             is_keyframe=is_keyframe,
             is_lost=is_lost,
+            is_place_known=loss is not None and loss.is_known,
             closures=closures,
             events=(
                 *events,

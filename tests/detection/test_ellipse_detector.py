@@ -109,14 +109,18 @@ def test_the_pose_covariance_is_the_one_asked_for() -> None:
         np.testing.assert_allclose(EllipseDetector(config, max_range_m=9.0).pose_covariance(at(A)), expected)
 
 
-def test_a_match_that_failed_or_is_improbable_takes_everything_back() -> None:
-    detector, scan = seeing(EllipseDetectorConfig())
+@pytest.mark.parametrize(("mapped_share", "reason"), [(0.2, reasons.UNSUPPORTED), (1.0, reasons.ABSTAINED)])
+def test_a_match_that_failed_or_is_improbable_takes_everything_back(mapped_share: float, reason: int) -> None:
+    detector, scan = seeing(EllipseDetectorConfig(retest=RetestConfig(mapped_share=mapped_share)))
     found = detect(detector, scan)
     assert found.is_moving.sum() > 5
     for match in (matched(status="failed"), matched(nis=51.0)):
         told = retest(detector, scan, found, match)
         assert not told.is_moving.any()
-        assert (told.reason == reasons.ABSTAINED).sum() == found.is_moving.sum()
+        np.testing.assert_array_equal(told.reason == reason, found.is_moving)
+        np.testing.assert_array_equal(
+            told.is_mapped(scan.is_valid()), scan.is_valid() & (~found.is_moving | (mapped_share == 1.0))
+        )
 
 
 def test_the_test_is_made_again_only_where_points_change_their_cells() -> None:

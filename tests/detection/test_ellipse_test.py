@@ -177,7 +177,9 @@ def test_something_wide_on_free_cells_neither_moves_nor_enters_the_map() -> None
     assert not found.is_moving.any()
     assert (found.reason[is_before] == reasons.TOO_WIDE).mean() > 0.95
     np.testing.assert_array_equal(found.is_mapped(scan.is_valid()), found.reason != reasons.TOO_WIDE)
-    assert found.abstain().is_mapped(scan.is_valid()).all()  # where the pose may be wrong, so may all this
+    # where the pose may be wrong, so may all this; it is not known to be a wall either
+    np.testing.assert_array_equal(found.abstain(is_mapped=False).is_mapped(scan.is_valid()), ~is_before)
+    assert found.abstain(is_mapped=True).is_mapped(scan.is_valid()).all()
 
 
 @pytest.mark.parametrize("mapped_share", [0.9, 1.0])
@@ -193,7 +195,7 @@ def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:
     scan = take_scan(POSE, discs=[PERSON])
     scan.ranges[:5] = np.nan
     found = detect(scan, seen_room(), EllipseTestConfig())
-    back = found.abstain()
+    back = found.abstain(is_mapped=True)
     assert found.is_moving.sum() > 5
     assert not back.is_moving.any()
     np.testing.assert_array_equal(back.reason == reasons.ABSTAINED, found.is_moving)
@@ -242,6 +244,8 @@ def test_every_reason_has_a_text() -> None:
         reasons.ABSTAINED,
     ):
         assert REASONS[number].startswith("static: ")
+    for number in reasons.NOT_MAPPED:
+        assert REASONS[number].startswith("neither: ")
 
 
 @pytest.mark.parametrize(

@@ -47,10 +47,14 @@ def test_a_degenerate_match_may_contradict_too() -> None:
     assert follow(match_with(status="degenerate", contradicts_odometry=True))[0] == ["contradiction"]
 
 
-def test_a_row_of_unlikely_innovations_is_a_contradiction_until_as_many_are_likely() -> None:
+def test_unlikely_innovations_add_up_to_a_contradiction_until_as_many_are_likely() -> None:
     unlikely, likely = match_with(nis=UNLIKELY_NIS + 1.0), match_with(nis=UNLIKELY_NIS - 1.0)
+    states, events = follow(*[unlikely, likely, likely] * 20)  # others make up for them
+    assert (states, events) == (["healthy"] * 60, [])
     states, events = follow(unlikely, unlikely, likely, unlikely, unlikely)
-    assert (states, events) == (["healthy"] * 5, [])
+    assert states == [*["healthy"] * 4, "contradiction"]
+    states, events = follow(unlikely, FAILED, unlikely, None, unlikely)  # what failed tells of neither
+    assert states[-1] == "contradiction"
     states, events = follow(unlikely, unlikely, unlikely, likely, likely, unlikely, likely, likely, likely)
     assert states == ["healthy", "healthy", *["contradiction"] * 6, "recovered"]
     assert [(event.kind, event.scan) for event in events] == [("contradiction", 3), ("recovered", 9)]
