@@ -5,16 +5,7 @@ import numpy as np
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection._cluster_kernels import cluster_beams, cluster_boxes
-from slammot_graph.detection.reasons import (
-    ABSTAINED,
-    ALONG,
-    DISCARDED,
-    FREE,
-    TOO_WIDE,
-    TRACKED,
-    UNSUPPORTED,
-    VACATED,
-)
+from slammot_graph.detection.reasons import ALONG, DISCARDED, FREE, TOO_WIDE, TRACKED, VACATED
 
 
 @kernel
@@ -30,18 +21,16 @@ def mark_wide(
 ) -> None:
     """Change the `reason` (n,) of beams from DISCARDED to TOO_WIDE where, with what moves beside, they are too wide.
 
-    Only where those and what moves are more than `mapped_share` of the valid beams. ABSTAINED becomes UNSUPPORTED.
+    Only where those and what moves are more than `mapped_share` of the valid beams.
     """
     n = points.shape[0]
     is_member = np.empty(n, dtype=np.bool_)
     n_valid = n_members = n_discarded = 0
     for k in range(n):
-        is_member[k] = reason[k] in (DISCARDED, FREE, VACATED, TRACKED, ALONG, ABSTAINED)
+        is_member[k] = reason[k] in (DISCARDED, FREE, VACATED, TRACKED, ALONG)
         n_valid += is_valid[k]
         n_members += is_member[k]
         n_discarded += reason[k] == DISCARDED
-        if reason[k] == ABSTAINED:
-            reason[k] = UNSUPPORTED
     if n_discarded == 0 or n_members <= mapped_share * n_valid:
         return
     labels = np.empty(n, dtype=np.int64)

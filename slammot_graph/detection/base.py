@@ -68,13 +68,19 @@ class Detection(NamedTuple):
             packed_cov=np.zeros((n, 3)),
         )
 
-    def abstain(self, *, is_mapped: bool) -> "Detection":
-        """Reject what was called moving, and what was too wide: nothing is. It enters the map, or is kept out of it."""
+    def kept_out(self) -> "Detection":
+        """Keep out of the map what the test abstained from."""
+        is_abstained = self.reason == reasons.ABSTAINED
+        if not np.count_nonzero(is_abstained):
+            return self
+        return self._replace(reason=np.where(is_abstained, reasons.UNSUPPORTED, self.reason))
+
+    def abstain(self) -> "Detection":
+        """Reject what was called moving, and what was kept out of the map: nothing is."""
         is_rejected = self.is_moving | (self.reason == reasons.TOO_WIDE)
-        reason = reasons.ABSTAINED if is_mapped else reasons.UNSUPPORTED
         return self._replace(
             is_moving=np.zeros_like(self.is_moving),
-            reason=np.where(is_rejected, reason, self.reason),
+            reason=np.where(is_rejected, reasons.ABSTAINED, self.reason),
             cluster=np.full_like(self.cluster, -1),
             n_clusters=0,
         )

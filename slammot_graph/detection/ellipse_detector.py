@@ -68,8 +68,8 @@ class RetestConfig(Checked):
     mapped_share : float
         Where more than this share of the valid beams ends on free cells, what is too wide for a person stays out of the
         map as long as its cells are known to be free: walls do not come, and what covers the laser, or the floor before
-        a robot that tilts, rides along and would take the map with it. So does what lies on free cells where too much
-        of the scan seems to move, or at a pose that no match supports. 1: never.
+        a robot that tilts, rides along and would take the map with it. So does, where there is odometry, what lies on
+        free cells though too much of the scan seems to move, or the match failed. 1: never.
     """
 
     same_cells: Share = 0.2
@@ -202,7 +202,7 @@ class EllipseDetector:
         if self._visibility_check is not None:
             vacated = self._visibility_check.vacated(scan, predicted.T_local_base, is_valid)
             reach_m = self._visibility_check.config.reach_m
-        return detect_moving(
+        detection = detect_moving(
             scan,
             is_valid,
             predicted.T_local_base,
@@ -217,6 +217,14 @@ class EllipseDetector:
             walks_along,
             1.0 if self.config.retest is None else self.config.retest.mapped_share,
         )
+        return self._kept_out(detection, scan)
+
+    def _kept_out(self, detection: Detection, scan: Scan) -> Detection:
+        """Keep out of the map what lies on free cells though the test abstained; the odometry says where it lies."""
+        retest = self.config.retest
+        if retest is None or retest.mapped_share == 1.0 or scan.T_odom_base is None:
+            return detection
+        return detection.kept_out()
 
     def retest(
         self,
@@ -235,7 +243,7 @@ class EllipseDetector:
         if retest is None:
             return detection
         if match.status == "failed" or match.nis > retest.abstain_nis:
-            return detection.abstain(is_mapped=retest.mapped_share == 1.0)
+            return self._kept_out(detection.abstain(), scan)
         if match.walks_along is not None:
             return self._detect(scan, is_valid, matched, predicted_positions, match.walks_along)
         distance_m, turn_rad = se2.distance(self._T_tested, matched.T_local_base)

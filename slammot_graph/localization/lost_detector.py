@@ -92,7 +92,8 @@ class LostDetector:
             loss = Loss(cause="gap", n_scans=1)
         elif self.n_failed >= self.n_lost:
             # a robot that stands gives the same scan again and again, which tells as little as one
-            is_predicted = self._n_standing_out >= self.n_lost - 1 and self._has_driven(
+            least = self.n_lost // 2 + 1 if has_odometry else self.n_lost - 1
+            is_predicted = self._n_standing_out >= least and self._has_driven(
                 self._T_odom_matched, T_odom_base
             )
             loss = Loss(cause="changing view" if is_predicted else "failed matches", n_scans=self.n_lost)

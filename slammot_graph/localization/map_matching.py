@@ -63,6 +63,7 @@ class MapMatching:
         self._noise_scale = 1.0
         self._elsewhere: MotionState | None = None
         self._latest: MatchResult | None = None
+        self._has_odometry = False
         self.is_adrift = False
         self._company = None if config.company is None else CompanyCheck(config.company)
 
@@ -78,9 +79,11 @@ class MapMatching:
         T_local_before : (3,) array
             The pose at the scan before.
         has_odometry : bool
-            There is odometry, without which who walks along cannot be told from the building.
+            There is odometry, without which who walks along cannot be told from the building, and which holds against
+            a match that few returns agree with.
         """
         self._T_local_lately = T_local_before, self._T_local_lately[0]
+        self._has_odometry = has_odometry
         self.laser_base = laser_base
         if self._latest is not None and self._latest.status == "converged":
             agreement = self.agreement(self._latest)
@@ -215,7 +218,7 @@ class MapMatching:
         Its noise is stretched until it is likely, as that of the motion is where most returns agree.
         """
         match = matched[0]
-        if match.status == "failed" or match.nis <= UNLIKELY_NIS:
+        if not self._has_odometry or match.status == "failed" or match.nis <= UNLIKELY_NIS:
             return matched
         scale = self._noise_scale * math.sqrt(match.nis / MEAN_NIS)
         return self._match_from(

@@ -169,7 +169,7 @@ class ScanToMap:
             node=node,
             is_keyframe=is_keyframe,
             is_lost=is_lost,
-            is_place_known=loss is not None and loss.is_known,
+            is_place_known=loss is not None and loss.is_known and scan.T_odom_base is not None,
             closures=closures,
             events=(
                 *events,

@@ -109,9 +109,19 @@ def test_the_pose_covariance_is_the_one_asked_for() -> None:
         np.testing.assert_allclose(EllipseDetector(config, max_range_m=9.0).pose_covariance(at(A)), expected)
 
 
-@pytest.mark.parametrize(("mapped_share", "reason"), [(0.2, reasons.UNSUPPORTED), (1.0, reasons.ABSTAINED)])
-def test_a_match_that_failed_or_is_improbable_takes_everything_back(mapped_share: float, reason: int) -> None:
+@pytest.mark.parametrize(
+    ("mapped_share", "has_odometry", "reason"),
+    [
+        (0.2, True, reasons.UNSUPPORTED),
+        (0.2, False, reasons.ABSTAINED),
+        (1.0, True, reasons.ABSTAINED),
+    ],
+)
+def test_a_match_that_failed_or_is_improbable_takes_everything_back(
+    mapped_share: float, has_odometry: bool, reason: int
+) -> None:
     detector, scan = seeing(EllipseDetectorConfig(retest=RetestConfig(mapped_share=mapped_share)))
+    scan = replace(scan, T_odom_base=A if has_odometry else None)
     found = detect(detector, scan)
     assert found.is_moving.sum() > 5
     for match in (matched(status="failed"), matched(nis=51.0)):
@@ -119,7 +129,8 @@ def test_a_match_that_failed_or_is_improbable_takes_everything_back(mapped_share
         assert not told.is_moving.any()
         np.testing.assert_array_equal(told.reason == reason, found.is_moving)
         np.testing.assert_array_equal(
-            told.is_mapped(scan.is_valid()), scan.is_valid() & (~found.is_moving | (mapped_share == 1.0))
+            told.is_mapped(scan.is_valid()),
+            scan.is_valid() & (~found.is_moving | (reason == reasons.ABSTAINED)),
         )
 
 

@@ -178,8 +178,8 @@ def test_something_wide_on_free_cells_neither_moves_nor_enters_the_map() -> None
     assert (found.reason[is_before] == reasons.TOO_WIDE).mean() > 0.95
     np.testing.assert_array_equal(found.is_mapped(scan.is_valid()), found.reason != reasons.TOO_WIDE)
     # where the pose may be wrong, so may all this; it is not known to be a wall either
-    np.testing.assert_array_equal(found.abstain(is_mapped=False).is_mapped(scan.is_valid()), ~is_before)
-    assert found.abstain(is_mapped=True).is_mapped(scan.is_valid()).all()
+    np.testing.assert_array_equal(found.abstain().kept_out().is_mapped(scan.is_valid()), ~is_before)
+    assert found.abstain().is_mapped(scan.is_valid()).all()
 
 
 @pytest.mark.parametrize("mapped_share", [0.9, 1.0])
@@ -195,7 +195,7 @@ def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:
     scan = take_scan(POSE, discs=[PERSON])
     scan.ranges[:5] = np.nan
     found = detect(scan, seen_room(), EllipseTestConfig())
-    back = found.abstain(is_mapped=True)
+    back = found.abstain()
     assert found.is_moving.sum() > 5
     assert not back.is_moving.any()
     np.testing.assert_array_equal(back.reason == reasons.ABSTAINED, found.is_moving)

@@ -134,3 +134,22 @@ def test_where_the_prediction_stands_out_on_a_drive_only_the_view_has_changed(
     assert losses[:-1] == [None, None]
     assert losses[-1] is not None
     assert (losses[-1].cause, losses[-1].is_known) == (cause, cause == "changing view")
+
+
+@pytest.mark.parametrize(("has_odometry", "cause"), [(True, "changing view"), (False, "failed matches")])
+def test_with_odometry_the_prediction_need_stand_out_most_times_only(has_odometry: bool, cause: str) -> None:
+    detector = LostDetector(5, 0.2)
+    update(detector, MATCH)
+    losses = [
+        detector.update(
+            FAILED,
+            HERE + np.array([0.1 * (k + 1), 0.0, 0.0]),
+            has_points=True,
+            has_local_map=True,
+            has_odometry=has_odometry,
+            stands_out=k != 1 and k != 3,
+        )
+        for k in range(5)
+    ]
+    assert losses[-1] is not None
+    assert losses[-1].cause == cause
