@@ -147,7 +147,7 @@ def test_with_odometry_the_prediction_need_stand_out_most_times_only(has_odometr
             has_points=True,
             has_local_map=True,
             has_odometry=has_odometry,
-            stands_out=k != 1 and k != 3,
+            stands_out=k not in (1, 3),
         )
         for k in range(5)
     ]
