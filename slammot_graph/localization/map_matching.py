@@ -2,8 +2,8 @@
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +13,12 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import fuse
 from slammot_graph.localization.company import CompanyCheck
 from slammot_graph.localization.config import ScanToMapConfig
+from slammot_graph.localization.matchers import matcher_failing_below, noisier_matcher
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
 from slammot_graph.registration.base import Match, Matcher, MatchPrior
 from slammot_graph.registration.factory import make_matcher
-from slammot_graph.registration.point_to_line import PointToLineConfig
 
 N_SEARCHED = 60
 """Returns that a search of many starts looks at; the best start is then matched with all."""
@@ -34,6 +34,14 @@ MEAN_NIS = 3.0
 
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
+
+
+class _Lately(NamedTuple):
+    """Where the robot was at the scan before, and before that one, and whether there is odometry since."""
+
+    T_local_before: FloatArray
+    T_local_earlier: FloatArray
+    has_odometry: bool
 
 
 class MapMatching:
@@ -57,13 +65,12 @@ class MapMatching:
         self.local_map = local_map
         self.matcher = make_matcher(config.point_to_line)
         self.laser_base: FloatArray = np.zeros(2)
-        self._T_local_lately = (se2.IDENTITY, se2.IDENTITY)  # at the scan before, and before that one
+        self._lately = _Lately(se2.IDENTITY, se2.IDENTITY, has_odometry=False)
         self._static_share = 1.0
         self._usual_agreement = 0.0
         self._noise_scale = 1.0
         self._elsewhere: MotionState | None = None
         self._latest: MatchResult | None = None
-        self._has_odometry = False
         self.is_adrift = False
         self._company = None if config.company is None else CompanyCheck(config.company)
 
@@ -82,8 +89,7 @@ class MapMatching:
             There is odometry, without which who walks along cannot be told from the building, and which holds against
             a match that few returns agree with.
         """
-        self._T_local_lately = T_local_before, self._T_local_lately[0]
-        self._has_odometry = has_odometry
+        self._lately = _Lately(T_local_before, self._lately.T_local_before, has_odometry)
         self.laser_base = laser_base
         if self._latest is not None and self._latest.status == "converged":
             agreement = self.agreement(self._latest)
@@ -98,7 +104,7 @@ class MapMatching:
         if scale == self._noise_scale:
             return
         self._noise_scale = scale
-        self.matcher = _noisier_matcher(self.config.point_to_line, scale)
+        self.matcher = noisier_matcher(self.config.point_to_line, scale)
 
     def match(
         self,
@@ -161,7 +167,7 @@ class MapMatching:
     def agreement_at(self, points_base: FloatArray, is_used: BoolArray, T_local_base: FloatArray) -> float:
         """Share of the points (n, 2) of the scan that agrees with the local map where it is put, at a pose (3,)."""
         held = MatchPrior(T_a_base=T_local_base, cov=_HELD_COV, cov_independent=_HELD_COV)
-        matcher = _matcher_failing_below(self.config.point_to_line, 0.0)
+        matcher = matcher_failing_below(self.config.point_to_line, 0.0)
         return matcher.match(self.local_map, points_base, is_used, self.laser_base, held).result.inlier_ratio
 
     @property
@@ -196,7 +202,7 @@ class MapMatching:
             if elsewhere is None:
                 needed = self.config.adrift_share * self._usual_agreement
                 if self.is_adrift and self.agreement(matched[0]) < needed:
-                    strict = _matcher_failing_below(self.config.point_to_line, needed)
+                    strict = matcher_failing_below(self.config.point_to_line, needed)
                     return self._match_from(points_base, is_static, start, matcher=strict), start
                 return self._held(points_base, is_static, matched, start), start
             self._elsewhere, self._static_share = elsewhere, 1.0
@@ -218,11 +224,11 @@ class MapMatching:
         Its noise is stretched until it is likely, as that of the motion is where most returns agree.
         """
         match = matched[0]
-        if not self._has_odometry or match.status == "failed" or match.nis <= UNLIKELY_NIS:
+        if not self._lately.has_odometry or match.status == "failed" or match.nis <= UNLIKELY_NIS:
             return matched
         scale = self._noise_scale * math.sqrt(match.nis / MEAN_NIS)
         return self._match_from(
-            points_base, is_static, start, matcher=_noisier_matcher(self.config.point_to_line, scale)
+            points_base, is_static, start, matcher=noisier_matcher(self.config.point_to_line, scale)
         )
 
     def _without_company(
@@ -311,7 +317,7 @@ class MapMatching:
         for starts in rounds:
             for T in starts:
                 match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
-                way_m, turn_rad = se2.distance(self._T_local_lately[0], T_found)
+                way_m, turn_rad = se2.distance(self._lately.T_local_before, T_found)
                 if match.status == "converged" and way_m <= most_m and turn_rad <= most_rad:
                     found.append((match.inlier_ratio, T_found))
             best = max(found, key=itemgetter(0), default=None)
@@ -328,7 +334,7 @@ class MapMatching:
         """
         if self.is_adrift:
             return math.inf, math.inf
-        before, earlier = self._T_local_lately
+        before, earlier, _ = self._lately
         told_m, told_rad = se2.distance(before, start.T_local_base)
         lately_m, lately_rad = se2.distance(earlier, before)
         return (
@@ -359,7 +365,7 @@ class MapMatching:
         some = np.zeros_like(is_valid)
         k = np.flatnonzero(is_valid)
         some[k[:: max(len(k) // N_SEARCHED, 1)]] = True
-        matcher = _matcher_failing_below(self.config.point_to_line, 0.0)
+        matcher = matcher_failing_below(self.config.point_to_line, 0.0)
         best, T_best = 0.0, start.T_local_base
         for i, j in shifts:
             T = se2.compose(start.T_local_base, np.array([i * step_m, j * step_m, 0.0]))
@@ -373,7 +379,7 @@ class MapMatching:
 
     def _starts_before(self) -> list[FloatArray]:
         """Where the robot was before, and where its last motion leads."""
-        before, earlier = self._T_local_lately
+        before, earlier, _ = self._lately
         return [before, se2.compose(before, se2.between(earlier, before))]
 
     def _turned_starts(self, start: MotionState, beyond_rad: float, reach_rad: float) -> list[FloatArray]:
@@ -382,20 +388,3 @@ class MapMatching:
         steps = range(int(beyond_rad / step_rad) + 1, int(reach_rad / step_rad) + 1)
         turns = [sign * k * step_rad for k in steps for sign in (1.0, -1.0)]
         return [se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]
-
-
-@lru_cache(maxsize=8)
-def _matcher_failing_below(config: PointToLineConfig, least_agreement: float) -> Matcher[LocalMap]:
-    """Give a matcher that fails only where a smaller share of the points agrees; with 0 none ever does."""
-    return make_matcher(replace(config, min_inlier_ratio=min(least_agreement, 0.99), min_pairs=3))
-
-
-def _noisier_matcher(config: PointToLineConfig, scale: float) -> Matcher[LocalMap]:
-    """Give a matcher that takes the noise of matches for so many times what the configuration says."""
-    return make_matcher(
-        replace(
-            config,
-            residual_std_m=scale * config.residual_std_m,
-            floor_std_m=scale * config.floor_std_m,
-        )
-    )
