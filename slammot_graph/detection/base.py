@@ -187,7 +187,7 @@ class Detector(Protocol):
         is_keyframe : bool
             It went into the local map.
         is_lost : bool
-            The robot's place is not known any more: what was remembered before lies elsewhere.
+            Nothing is known of the pose relative to what was remembered before.
         """
 
     def retrospective_labels(

@@ -85,8 +85,8 @@ class CommitResult:
     is_lost : bool
         The localizer has lost its place at this scan.
     is_place_known : bool
-        The prediction goes on nevertheless, and only the local map cannot be used any more; otherwise what was
-        remembered before lies elsewhere.
+        The prediction goes on nevertheless, and only the local map cannot be used any more; otherwise nothing is known
+        of the pose relative to what was remembered before.
     expects_match : bool
         False where the localizer matches once in a while, and this scan lies in between.
     is_mapped : bool

@@ -73,20 +73,17 @@ class CompanyCheck:
     config : CompanyConfig
     walks_along : (n,) bool array or None
         Beams that pulled the match of the latest scan away; they were left out of it.
-    has_odometry : bool
-        There is odometry at the latest scan.
     """
 
     def __init__(self, config: CompanyConfig) -> None:
         self.config = config
         self.walks_along: BoolArray | None = None
-        self.has_odometry = False
         self._thing: IntArray = np.empty(0, dtype=np.int64)
         self._n_things = 0
 
-    def start_scan(self, *, has_odometry: bool) -> None:
+    def start_scan(self) -> None:
         """Move on to the next scan."""
-        self.walks_along, self.has_odometry = None, has_odometry
+        self.walks_along = None
 
     def is_crowd(self, static_share: float) -> bool:
         """Tell whether so much of a scan was called moving that its small things are probably people as well."""

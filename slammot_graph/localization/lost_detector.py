@@ -92,6 +92,7 @@ class LostDetector:
             loss = Loss(cause="gap", n_scans=1)
         elif self.n_failed >= self.n_lost:
             # a robot that stands gives the same scan again and again, which tells as little as one
+            # without odometry the prediction may be as wrong as the match: hardly a scan may speak against it
             least = self.n_lost // 2 + 1 if has_odometry else self.n_lost - 1
             is_predicted = self._n_standing_out >= least and self._has_driven(
                 self._T_odom_matched, T_odom_base

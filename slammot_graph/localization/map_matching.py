@@ -97,7 +97,7 @@ class MapMatching:
         self._latest = self._elsewhere = None
         self.is_adrift = False
         if self._company is not None:
-            self._company.start_scan(has_odometry=has_odometry)
+            self._company.start_scan()
 
     def scale_noise(self, scale: float) -> None:
         """Take the noise of matches for so many times what the configuration says, from now on."""
@@ -236,7 +236,7 @@ class MapMatching:
     ) -> tuple[BoolArray, Match]:
         """Leave out small things that alone pull the match away from the odometry; gives the points used, too."""
         company, match = self._company, matched.result
-        if company is None or not company.has_odometry or match.status == "failed":
+        if company is None or not self._lately.has_odometry or match.status == "failed":
             return is_static, matched
         config = company.config
         company.walks_along = None

@@ -108,6 +108,24 @@ def test_a_match_that_fails_where_nothing_was_known_of_the_motion_is_a_loss_at_o
     assert detector.update(FAILED, HERE, **words) == Loss(cause="gap", n_scans=1)
 
 
+def failing(
+    detector: LostDetector, step_m: float, standing_out: tuple[bool, ...], *, has_odometry: bool = False
+) -> list[Loss | None]:
+    """What is told of matches that fail one after the other, on a drive."""
+    update(detector, MATCH)
+    return [
+        detector.update(
+            FAILED,
+            HERE + np.array([step_m * (k + 1), 0.0, 0.0]),
+            has_points=True,
+            has_local_map=True,
+            has_odometry=has_odometry,
+            stands_out=stands,
+        )
+        for k, stands in enumerate(standing_out)
+    ]
+
+
 @pytest.mark.parametrize(
     ("step_m", "standing_out", "cause"),
     [
@@ -120,17 +138,7 @@ def test_a_match_that_fails_where_nothing_was_known_of_the_motion_is_a_loss_at_o
 def test_where_the_prediction_stands_out_on_a_drive_only_the_view_has_changed(
     detector: LostDetector, step_m: float, standing_out: tuple[bool, ...], cause: str
 ) -> None:
-    update(detector, MATCH)
-    losses = [
-        detector.update(
-            FAILED,
-            HERE + np.array([step_m * (k + 1), 0.0, 0.0]),
-            has_points=True,
-            has_local_map=True,
-            stands_out=stands,
-        )
-        for k, stands in enumerate(standing_out)
-    ]
+    losses = failing(detector, step_m, standing_out)
     assert losses[:-1] == [None, None]
     assert losses[-1] is not None
     assert (losses[-1].cause, losses[-1].is_known) == (cause, cause == "changing view")
@@ -138,18 +146,8 @@ def test_where_the_prediction_stands_out_on_a_drive_only_the_view_has_changed(
 
 @pytest.mark.parametrize(("has_odometry", "cause"), [(True, "changing view"), (False, "failed matches")])
 def test_with_odometry_the_prediction_need_stand_out_most_times_only(has_odometry: bool, cause: str) -> None:
-    detector = LostDetector(5, 0.2)
-    update(detector, MATCH)
-    losses = [
-        detector.update(
-            FAILED,
-            HERE + np.array([0.1 * (k + 1), 0.0, 0.0]),
-            has_points=True,
-            has_local_map=True,
-            has_odometry=has_odometry,
-            stands_out=k not in (1, 3),
-        )
-        for k in range(5)
-    ]
+    standing_out = (True, False, True, False, True)
+    losses = failing(LostDetector(5, 0.2), 0.1, standing_out, has_odometry=has_odometry)
+    assert losses[:-1] == [None] * 4
     assert losses[-1] is not None
     assert losses[-1].cause == cause

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 
 from slammot_graph.core import se2
+from slammot_graph.core.match_result import UNLIKELY_NIS
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.localization import ScanToMapConfig
@@ -170,6 +172,14 @@ def test_where_most_is_new_no_pose_leads() -> None:
     assert match.status == "failed"
 
 
+def behind_panel(T_world_base: FloatArray) -> Scan:
+    """A scan with a panel 1.2 m ahead of half of the beams."""
+    scan = take_scan(T_world_base)
+    is_ahead = np.abs(np.arange(LASER.n_beams) - LASER.n_beams // 2) < LASER.n_beams // 4
+    panel = 1.2 / np.maximum(np.cos(LASER.angles_base), 0.05)
+    return replace(scan, ranges=np.where(is_ahead, np.minimum(scan.ranges, panel), scan.ranges))
+
+
 def test_in_company_the_prediction_holds() -> None:
     """Who walks along looks as if the robot stood still; neither pose has most of the returns on its side."""
     local_map, first = LocalMap(LocalMapConfig()), with_company(A)
@@ -184,6 +194,28 @@ def test_in_company_the_prediction_holds() -> None:
     assert not match.contradicts_odometry
     assert not matching.is_agreed(match)
     assert max(errors(step, state.T_local_base)) < 0.01
+
+
+@pytest.mark.parametrize(("has_odometry", "least_m", "most_m"), [(True, 0.0, 0.005), (False, 0.03, 0.1)])
+def test_the_odometry_holds_against_an_unlikely_match_of_few_returns(
+    has_odometry: bool, least_m: float, most_m: float
+) -> None:
+    """What rides along before half of the beams is in the local map, and much else agrees with nothing."""
+    local_map, first = LocalMap(LocalMapConfig()), behind_panel(A)
+    keyframe = make_keyframe(0, np.zeros(3), first.points_base(), first.is_valid(), LASER, local_map.config)
+    local_map.add(keyframe)
+    matching = used_to_agreement(matching_at(np.zeros(3)))
+    matching.local_map = local_map
+    matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=has_odometry)
+    rng, step = np.random.default_rng(0), np.array([0.1, 0.0, 0.0])
+    scan = behind_panel(se2.compose(A, step))
+    is_clutter = rng.random(LASER.n_beams) < 0.4
+    scan.ranges[is_clutter] = rng.uniform(0.3, 0.9, LASER.n_beams)[is_clutter]
+    match, state = matching.match(scan.points_base(), scan.is_valid(), certain_at(step))
+    assert match.status == "converged"
+    assert not matching.is_agreed(match)
+    assert least_m <= errors(step, state.T_local_base)[0] < most_m
+    assert (match.nis < UNLIKELY_NIS) == has_odometry
 
 
 def test_one_person_who_leads_the_robot_down_a_corridor_contradicts_nothing() -> None:
