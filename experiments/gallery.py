@@ -90,6 +90,7 @@ ENTRIES = (
     ),
     Entry(name="walking_along", what="People who walk with the robot", needs_logs=True),
     Entry(name="tracking", what="Tracks of moving objects", arguments=("--seeds", "20")),
+    Entry(name="riding_along", what="Covers and ramps: what rides along"),
     Entry(name="sweep", what="Lasers that sweep"),
     Entry(name="odometry_faults", what="Odometry that is wrong", arguments=("--scenarios", "lab")),
     Entry(name="any_robot", what="With the wheels, and by the laser alone", needs_logs=True),

@@ -38,6 +38,7 @@ COLUMNS = (
     "relations within 60 s, mean / median [m]",
     "all relations [m]",
     "rotation [degrees]",
+    "end off the odometry's / stated [m]",
     "failed matches",
     "closures",
     "ms a scan, median / p95",
@@ -67,6 +68,8 @@ def cell(log: str, relations: str | None, odom_topic: str | None, method: str, h
         "step_ms": float(np.median(step)),
         "step_95_ms": float(np.percentile(step, 95)),
         "cpu_s": cpu_s,
+        "end_m": float(np.hypot(*(result.T_map_base[-1] - result.T_map_odom_base[-1])[:2])),
+        "end_std_m": float(np.sqrt(np.trace(result.cov_map[-1, :2, :2]))),
     }
     if relations is not None:
         truth = read_relations(Path(relations))
@@ -145,7 +148,9 @@ def experiment(options: Options) -> None:
     scores = run_cells("recorded_logs", cell, cells, options)
     rows = [[name, method, *_figures(scores[f"{name} {method}"])] for name in logs for method in methods]
     notes = [
-        "Milliseconds are wall time of a step, with all processes running; the CPU is that of the whole run."
+        "Milliseconds are wall time of a step, with all processes running; the CPU is that of the whole run. The end of"
+        " the path against that of the odometry, and the standard deviation stated there: only where the odometry is"
+        " good does it say how far the method is off."
     ]
     if "wheelchair graph" in scores:
         s = scores["wheelchair graph"]
@@ -169,6 +174,7 @@ def _figures(scores: Scores) -> list[str]:
     return [
         str(scores["n_scans"]) if scores["is_complete"] else f"{scores['n_scans']}, then ended",
         *relations,
+        f"{number(scores['end_m'], 2)} / {number(scores['end_std_m'], 2)}",
         str(scores["n_failed"]),
         str(scores["n_closures"]),
         f"{number(scores['step_ms'], 2)} / {number(scores['step_95_ms'], 2)}",

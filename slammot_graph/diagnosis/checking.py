@@ -17,6 +17,7 @@ from slammot_graph.diagnosis.mounting import with_found_mounting
 from slammot_graph.diagnosis.odometry import OdometryStatistics
 from slammot_graph.diagnosis.own_body import Source, without_own_body
 from slammot_graph.diagnosis.statistics import RunStatistics
+from slammot_graph.diagnosis.sweep import with_found_sweeps
 from slammot_graph.diagnosis.verdict import diagnose
 from slammot_graph.logs.remounted import RemountedLog
 from slammot_graph.logs.source import LaserLog, describe
@@ -63,8 +64,8 @@ class CheckReport:
 
 
 def as_mounted(log: Source) -> Source | RemountedLog:
-    """Give a log as a run uses it: with the mounting that the drive tells of, without returns of the robot's body."""
-    return without_own_body(with_found_mounting(log))
+    """Give a log as a run uses it: with beam times and mounting that the drive tells of, without the robot's body."""
+    return without_own_body(with_found_mounting(with_found_sweeps(log)))
 
 
 def check_log(

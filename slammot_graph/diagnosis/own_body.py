@@ -76,7 +76,7 @@ def without_own_body(log: Source) -> Source | RemountedLog:
         return replace(scan, ranges=np.where(is_body, np.nan, scan.ranges))
 
     warnings = [_warning(laser, body) for laser, body in bodies.items()]
-    return RemountedLog(log, leave_aside=leave_aside, warnings=warnings)
+    return RemountedLog(log, mend=leave_aside, warnings=warnings)
 
 
 def _warning(laser: LaserModel, body: OwnBody) -> str:

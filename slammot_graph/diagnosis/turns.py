@@ -20,6 +20,15 @@ MAX_RATIO = 0.87
 """Share of the returns that agree while turning over that while not, below which the scans are taken for bent."""
 
 
+def agreement_of(step: StepResult) -> float:
+    """Share of a scan's returns that agree with the local map; those called moving do not."""
+    if step.match is None or step.match.status == "failed":
+        return 0.0
+    n_valid = int(np.count_nonzero(step.is_valid))
+    share = np.count_nonzero(step.is_valid & ~step.is_moving) / max(n_valid, 1)
+    return float(share * step.match.inlier_ratio)
+
+
 class TurnAgreement:
     """Mean share of the returns that agree with the local map, of scans while turning and of others.
 
@@ -49,9 +58,7 @@ class TurnAgreement:
         turn_rad = abs(float(se2.wrap_angle(step.T_map_base[2] - before[2])))
         if not (turn_rad < STRAIGHT_RAD or TURNING_RAD < turn_rad < MAX_TURN_RAD):
             return
-        n_valid = int(np.count_nonzero(step.is_valid))
-        share = np.count_nonzero(step.is_valid & ~step.is_moving) / max(n_valid, 1)
-        agreement = 0.0 if step.match.status == "failed" else share * step.match.inlier_ratio
+        agreement = agreement_of(step)
         if turn_rad < STRAIGHT_RAD:
             self.n_straight += 1
             self._sum_straight += agreement

@@ -1,4 +1,4 @@
-"""A recorded log whose lasers are mounted otherwise than it says, or of which returns are left aside."""
+"""A recorded log whose lasers are mounted otherwise than it says, or whose scans are mended."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -10,15 +10,15 @@ from slammot_graph.logs.source import LaserLog, SkippedScan, source_of
 
 
 class RemountedLog:
-    """A `LaserLog` as another one, with other mountings or without some returns.
+    """A `LaserLog` as another one, with other mountings or with mended scans.
 
     Parameters
     ----------
     log : LaserLog
     remount : callable, optional
         Gives the laser to use in place of one of the log.
-    leave_aside : callable, optional
-        Gives a scan without some returns.
+    mend : callable, optional
+        Gives a scan as it is to be used: without some returns, or with other beam times.
     warnings : sequence of str
         Come before those of the log.
     source : SourceInfo, optional
@@ -32,7 +32,7 @@ class RemountedLog:
         log: LaserLog,
         remount: Callable[[LaserModel], LaserModel] | None = None,
         *,
-        leave_aside: Callable[[Scan], Scan] | None = None,
+        mend: Callable[[Scan], Scan] | None = None,
         warnings: Sequence[str] = (),
         source: SourceInfo | None = None,
         replaces: str | None = None,
@@ -42,7 +42,7 @@ class RemountedLog:
         self.source.update(source or {})
         self._log = log
         self._remount = remount
-        self._leave_aside = leave_aside
+        self._mend = mend
         self._own_warnings = list(warnings)
         self._replaces = replaces
         self.skipped: list[SkippedScan] = log.skipped
@@ -71,7 +71,7 @@ class RemountedLog:
         try:
             for scan in scans:
                 if self._remount is None:
-                    yield scan if self._leave_aside is None else self._leave_aside(scan)
+                    yield scan if self._mend is None else self._mend(scan)
                     continue
                 if now is None or scan.laser is not last:
                     last = scan.laser
