@@ -92,6 +92,7 @@ ENTRIES = (
     Entry(name="tracking", what="Tracks of moving objects", arguments=("--seeds", "20")),
     Entry(name="riding_along", what="Covers and ramps: what rides along"),
     Entry(name="sweep", what="Lasers that sweep"),
+    Entry(name="beam_times", what="Beam times that are told wrong", needs_logs=True),
     Entry(name="odometry_faults", what="Odometry that is wrong", arguments=("--scenarios", "lab")),
     Entry(name="any_robot", what="With the wheels, and by the laser alone", needs_logs=True),
     Entry(name="freiburg", what="Recorded logs against their true relations", needs_logs=True),

@@ -105,6 +105,11 @@ def test_any_robot(tmp_path: Path, recorded_data: Path) -> None:
     assert text.count("| fr079 |") == 2
 
 
+def test_beam_times(tmp_path: Path) -> None:
+    text = quick("beam_times", tmp_path, ("as told", "as found"), "--seeds", "1")
+    assert "| fast-turns | none |" in text
+
+
 def test_riding_along(tmp_path: Path) -> None:
     text = quick("riding_along", tmp_path, ("wheels", "laser alone"), "--seeds", "1")
     assert text.count("| lab | half covered |") == 2
