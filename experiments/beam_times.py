@@ -140,10 +140,10 @@ def experiment(options: Options) -> None:
     notes = [
         f"A laser of 360 beams whose sweep lasts from scan to scan, the first {n_scans} scans; seeds"
         f" {', '.join(map(str, seeds))}, one figure each. NEES of the poses relative to the anchor of their local"
-        " map, 3 is consistent; said so: runs whose verdict has the finding `beam times`. Scale cars (datmo): an old RPLIDAR"
-        " driver that tells a thousandth of the time between beams and lists them against their order; the poses are"
-        " those of markers, from which the laser's path differs by a scale of 1.1 under all methods, so that 0.1 m of"
-        " error remain.",
+        " map, 3 is consistent; said so: runs whose verdict has the finding `beam times`. Scale cars (datmo): an old"
+        " RPLIDAR driver that tells a thousandth of the time between beams and lists them against their order; the"
+        " poses are those of markers, from which the laser's path differs by a scale of 1.1 under all methods, so"
+        " that 0.1 m of error remain.",
     ]
     write_tables("beam_times", "Beam times that are told wrong", notes, tables, options)
 
