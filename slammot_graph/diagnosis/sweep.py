@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from slammot_graph.core import se2
+from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.diagnosis.own_body import Source
@@ -48,7 +49,7 @@ N_BETWEEN = 20
 MIN_SIGMA, SURE_SIGMA = 4.0, 6.0
 """Standard deviations by which an assumption must agree more than what is told; by which no more scans are read."""
 
-TOLD_SO = "time_increment of"
+TOLD_SO = "time_increment"
 """Words of the log's warnings that what was found takes the place of."""
 
 
@@ -113,7 +114,10 @@ def with_found_sweeps(log: Source) -> Source | RemountedLog:
     source = source_of(log)
     if "laser_pose" not in source or not isinstance(log, LaserLog):
         return log
-    found = find_sweeps(log, has_own_times="cloud_topic" in source)
+    try:
+        found = find_sweeps(log, has_own_times="cloud_topic" in source)
+    except SlammotError:  # the log ends here, or cannot be localized: the run comes to it, and tells
+        return log
     if not found:
         return log
 

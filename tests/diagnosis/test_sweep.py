@@ -1,11 +1,15 @@
 """When a laser sends out its beams: found where it turns, where the log may tell wrong, and only then."""
 
+from collections.abc import Iterator
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from slammot_graph.core.errors import InputError
+from slammot_graph.core.scan import Scan
 from slammot_graph.diagnosis.checking import check_log
 from slammot_graph.diagnosis.sweep import Sweep, _assumptions, _lead, find_sweeps, with_found_sweeps
 from slammot_graph.evaluation import absolute_error
@@ -89,6 +93,27 @@ def test_scans_without_stamps_tell_nothing() -> None:
     for scan in scans:
         object.__setattr__(scan, "stamp", 0.0)
     assert find_sweeps(scans) == {}
+
+
+def test_a_log_that_cannot_be_read_to_its_end_is_left_to_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = log_of(tmp_path / "log.npz", sweep=1.0, told_s=0.0)
+    read = type(log).__iter__
+
+    def damaged(self: LaserLog) -> Iterator[Scan]:
+        yield from islice(read(self), 50)
+        raise InputError("damaged")
+
+    monkeypatch.setattr(type(log), "__iter__", damaged)
+    assert with_found_sweeps(log) is log
+
+
+def test_a_warning_of_the_log_gives_way_to_what_was_found(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "log.npz", sweep=1.0, told_s=3.0 * PERIOD_S, is_reversed=True)
+    assert len(log.warnings) == 1
+    (told,) = with_found_sweeps(log).warnings
+    assert "which is used instead" in told
 
 
 def test_what_may_be() -> None:
