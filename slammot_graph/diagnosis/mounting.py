@@ -18,7 +18,7 @@ from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.logs import source_of
 from slammot_graph.logs.remounted import RemountedLog, upside_down
-from slammot_graph.logs.source import LaserLog
+from slammot_graph.logs.source import LaserLog, beginning_of
 from slammot_graph.methods import get_method
 from slammot_graph.pipeline import Pipeline
 from slammot_graph.pipeline_config import PipelineConfig
@@ -101,6 +101,12 @@ def _warning(found: FoundTurn) -> str:
     )
 
 
+def by_laser_alone(scan: Scan) -> Scan:
+    """A scan as if its laser, the only one, were the base, and nothing else told of the motion."""
+    laser = replace(scan.laser, T_base_laser=(0.0, 0.0, 0.0), number=0)
+    return replace(scan, laser=laser, T_odom_base=None, odometry=None, imu_yaw=None)
+
+
 def laser_and_odometry(log: Iterable[Scan]) -> tuple[FloatArray, FloatArray]:
     """Poses (n, 3) of the laser by its scans alone, and of the odometry, over the first metres; of the first laser."""
     config = get_method("graph").config
@@ -108,24 +114,19 @@ def laser_and_odometry(log: Iterable[Scan]) -> tuple[FloatArray, FloatArray]:
     found: list[FloatArray] = []
     told: list[FloatArray] = []
     path_m = turn_rad = 0.0
-    scans = iter(log)
-    with Pipeline(config) as pipeline:
+    with Pipeline(config) as pipeline, beginning_of(log) as scans:
         for scan in scans:
             if scan.laser.number or scan.T_odom_base is None:
                 continue
             if told:
                 distance_m, angle_rad = se2.distance(told[-1], scan.T_odom_base)
                 path_m, turn_rad = path_m + distance_m, turn_rad + angle_rad
-            laser = replace(scan.laser, T_base_laser=(0.0, 0.0, 0.0))
-            step = pipeline.step(replace(scan, laser=laser, T_odom_base=None, odometry=None, imu_yaw=None))
+            step = pipeline.step(by_laser_alone(scan))
             found.append(step.T_map_base)
             told.append(scan.T_odom_base)
             is_far = path_m > MAX_PATH_M or (path_m > 0.5 * MAX_PATH_M and turn_rad > MAX_TURN_RAD)
             if len(told) == MAX_SCANS or is_far:
                 break
-    close = getattr(scans, "close", None)
-    if close is not None:
-        close()
     return np.array(found).reshape(-1, 3), np.array(told).reshape(-1, 3)
 
 

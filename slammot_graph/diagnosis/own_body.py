@@ -12,7 +12,7 @@ from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.logs import source_of
 from slammot_graph.logs.remounted import RemountedLog
-from slammot_graph.logs.source import LaserLog
+from slammot_graph.logs.source import LaserLog, beginning_of
 
 MAX_RANGE_M = 1.2
 """No part of the robot is farther from its laser."""
@@ -119,22 +119,21 @@ def look_at(log: Iterable[Scan]) -> dict[LaserModel, LookedAt]:
     """Take scans of a log at different poses by the odometry, for each laser."""
     looked: dict[LaserModel, LookedAt] = {}
     last: dict[LaserModel, FloatArray] = {}
-    scans = iter(log)
-    for n_scans, scan in enumerate(scans, start=1):
-        if scan.T_odom_base is not None:
-            distance_m, turn_rad = (
-                se2.distance(last[scan.laser], scan.T_odom_base) if scan.laser in last else (math.inf, 0.0)
-            )
-            if distance_m > STEP_M or turn_rad > STEP_RAD:
-                last[scan.laser] = scan.T_odom_base
-                looked.setdefault(scan.laser, LookedAt()).add(scan.ranges, float(scan.T_odom_base[2]))
-        n = sum(len(x.ranges) for x in looked.values())
-        is_clear = n >= N_FIRST * len(looked) and not any(x.may_see_body for x in looked.values())
-        if (looked and is_clear) or n_scans >= MAX_SCANS or n >= N_LOOKED_AT * max(len(looked), 1):
-            break
-    close = getattr(scans, "close", None)
-    if close is not None:
-        close()
+    with beginning_of(log) as scans:
+        for n_scans, scan in enumerate(scans, start=1):
+            if scan.T_odom_base is not None:
+                distance_m, turn_rad = (
+                    se2.distance(last[scan.laser], scan.T_odom_base)
+                    if scan.laser in last
+                    else (math.inf, 0.0)
+                )
+                if distance_m > STEP_M or turn_rad > STEP_RAD:
+                    last[scan.laser] = scan.T_odom_base
+                    looked.setdefault(scan.laser, LookedAt()).add(scan.ranges, float(scan.T_odom_base[2]))
+            n = sum(len(x.ranges) for x in looked.values())
+            is_clear = n >= N_FIRST * len(looked) and not any(x.may_see_body for x in looked.values())
+            if (looked and is_clear) or n_scans >= MAX_SCANS or n >= N_LOOKED_AT * max(len(looked), 1):
+                break
     return looked
 
 

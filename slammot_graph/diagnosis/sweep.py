@@ -18,11 +18,12 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.types import FloatArray
+from slammot_graph.diagnosis.mounting import by_laser_alone
 from slammot_graph.diagnosis.own_body import Source
 from slammot_graph.diagnosis.turns import agreement_of
 from slammot_graph.logs import source_of
 from slammot_graph.logs.remounted import RemountedLog
-from slammot_graph.logs.source import LaserLog
+from slammot_graph.logs.source import LaserLog, beginning_of
 from slammot_graph.methods import get_method
 from slammot_graph.odometry.robust_fit import long_run_variance
 from slammot_graph.pipeline import Pipeline
@@ -41,10 +42,7 @@ TURNING_RAD, MAX_TURN_RAD = 0.02, 1.0
 """Scans between which the robot turns by more than the first are compared; more than the second is no turn."""
 
 MIN_TURNING, MAX_TURNING, MAX_SCANS = 20, 160, 800
-"""Turning scans needed, and looked at most; scans read at most."""
-
-N_BETWEEN = 20
-"""After so many more it is looked at whether that is enough."""
+"""Turning scans needed, after as many of which it is looked at anew; looked at most; scans read at most."""
 
 MIN_SIGMA, SURE_SIGMA = 4.0, 6.0
 """Standard deviations by which an assumption must agree more than what is told; by which no more scans are read."""
@@ -148,22 +146,18 @@ def find_sweeps(log: Iterable[Scan], *, has_own_times: bool = False) -> dict[int
         Where scans have beam times these are measured, as those of clouds.
     """
     trials: dict[int, _Trial] = {}
-    scans = iter(log)
     try:
-        for n_scans, scan in enumerate(scans, start=1):
-            number = scan.laser.number
-            if _may_be_wrong(scan, has_own_times=has_own_times):
-                trials.setdefault(number, _Trial()).add(scan)
-            is_settled = all(trial.is_settled for trial in trials.values())
-            if n_scans >= MAX_SCANS or (n_scans >= N_PERIOD and is_settled):
-                break
+        with beginning_of(log) as scans:
+            for n_scans, scan in enumerate(scans, start=1):
+                if _may_be_wrong(scan, has_own_times=has_own_times):
+                    trials.setdefault(scan.laser.number, _Trial()).add(scan)
+                is_settled = all(trial.is_settled for trial in trials.values())
+                if n_scans >= MAX_SCANS or (n_scans >= N_PERIOD and is_settled):
+                    break
         found = {number: trial.found() for number, trial in trials.items()}
     finally:
         for trial in trials.values():
             trial.close()
-        close = getattr(scans, "close", None)
-        if close is not None:
-            close()
     return {number: sweep for number, sweep in found.items() if sweep is not None}
 
 
@@ -205,18 +199,8 @@ class _Assumed:
 
     def add(self, scan: Scan, index: int) -> tuple[float, float]:
         """Take in the next scan; gives the turn since the one before [rad], and the share of returns that agree."""
-        laser = replace(scan.laser, T_base_laser=(0.0, 0.0, 0.0), number=0)
-        step = self._pipeline.step(
-            replace(
-                scan,
-                index=index,
-                laser=laser,
-                T_odom_base=None,
-                odometry=None,
-                imu_yaw=None,
-                beam_times=self.sweep.beam_times(laser.n_beams),
-            )
-        )
+        beam_times = self.sweep.beam_times(scan.laser.n_beams)
+        step = self._pipeline.step(replace(by_laser_alone(scan), index=index, beam_times=beam_times))
         before, self._T_before = self._T_before, step.T_map_base
         turn_rad = 0.0 if before is None else abs(float(se2.wrap_angle(step.T_map_base[2] - before[2])))
         return turn_rad, agreement_of(step)
@@ -288,7 +272,7 @@ class _Trial:
         for assumed, (_, agreement) in zip(self._assumed, found, strict=True):
             assumed.agreement.append(agreement)
         n_turning = len(self._assumed[0].agreement)
-        if n_turning >= MIN_TURNING and n_turning % N_BETWEEN == 0:
+        if n_turning % MIN_TURNING == 0:
             self.is_settled = n_turning >= MAX_TURNING or self._is_sure()
 
     def _agreement(self) -> FloatArray:

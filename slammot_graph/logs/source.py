@@ -1,6 +1,7 @@
 """What gives scans: a source, perhaps live, and a recorded log, which can be read again."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast, runtime_checkable
@@ -60,6 +61,18 @@ class LaserLog(Source, Protocol):
     @property
     def n_scans(self) -> int:
         """Scan records in the file, usable or not; known without a full decode."""
+
+
+@contextmanager
+def beginning_of(log: Iterable[Scan]) -> Iterator[Iterator[Scan]]:
+    """Give a log's scans from its beginning; what reads them is closed at the end of the block."""
+    scans = iter(log)
+    try:
+        yield scans
+    finally:
+        close = getattr(scans, "close", None)
+        if close is not None:
+            close()
 
 
 def source_of(log: Iterable[Scan]) -> SourceInfo:
