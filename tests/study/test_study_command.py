@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -15,6 +16,14 @@ import pytest
 from slammot_graph.cli import main
 
 ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C reaches children also where these tests run in a shell's background, which has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def run(study: Path, output: Path, *more: str) -> int:
@@ -89,7 +98,7 @@ def test_a_study_that_is_killed_goes_on(tiny: Path, tmp_path: Path, environment:
 
 
 def test_an_interrupted_study_writes_what_there_is(
-    tiny: Path, tmp_path: Path, environment: dict[str, str]
+    tiny: Path, tmp_path: Path, environment: dict[str, str], interruptible: None
 ) -> None:
     output = tmp_path / "out"
     tiny.write_text(tiny.read_text(encoding="utf-8").replace("seeds = 3", "seeds = 50"), encoding="utf-8")
