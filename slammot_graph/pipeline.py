@@ -325,7 +325,7 @@ class Pipeline:
         self, scan: Scan, is_valid: BoolArray, detection: Detection, kernel_factor: float = 1.0
     ) -> tuple[Scan, Estimate, MatchResult | None]:
         """Match a scan; a sweep again and again, as each match tells how to deskew it better."""
-        localizer, is_static = self.localizer, is_valid & ~detection.is_moving
+        localizer, is_static = self.localizer, detection.is_matched(is_valid)
         matched, match = localizer.match(
             scan.points_base(), is_static, kernel_factor=kernel_factor, is_valid=is_valid
         )

@@ -1,44 +1,140 @@
-"""Kernel that tells apart what lies on free cells and is too wide for a person: it may ride along with the robot."""
+"""Kernels that tell apart what lies on free cells and is too wide for a person: it may ride along with the robot."""
+
+import math
 
 import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection._cluster_kernels import cluster_beams, cluster_boxes
-from slammot_graph.detection.reasons import ALONG, DISCARDED, FREE, TOO_WIDE, TRACKED, VACATED
+from slammot_graph.detection.reasons import (
+    ALONG,
+    COME_UP,
+    DISCARDED,
+    FREE,
+    TOO_WIDE,
+    TRACKED,
+    UNKNOWN,
+    VACATED,
+)
+
+
+@kernel
+def _stands_off(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    resolution: float,
+    oldest: int,
+    is_fixed: bool,
+    l_occupied: float,
+    x: float,
+    y: float,
+    reach: float,
+) -> bool:
+    """Tell whether no occupied cell is within `reach` [m], in whole cells, of the cell of a point (x, y)."""
+    rows, cols = log_odds.shape
+    i_c = math.floor(y / resolution)
+    j_c = math.floor(x / resolution)
+    n = round(reach / resolution)
+    for i in range(i_c - n, i_c + n + 1):
+        for j in range(j_c - n, j_c + n + 1):
+            i_s = i - row0
+            j_s = j - col0
+            if (i - i_c) ** 2 + (j - j_c) ** 2 > n * n:
+                continue
+            if is_fixed and (i_s < 0 or i_s >= rows or j_s < 0 or j_s >= cols):
+                continue
+            i_s &= rows - 1
+            j_s &= cols - 1
+            if stamp[i_s, j_s] >= oldest and log_odds[i_s, j_s] > l_occupied:
+                return False
+    return True
 
 
 @kernel
 def mark_wide(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    resolution: float,
+    oldest: int,
+    is_fixed: bool,
+    l_occupied: float,
     points: FloatArray,
     is_valid: BoolArray,
     mapped_share: float,
+    off_wall: float,
     max_gap: float,
     max_skipped_beams: int,
     max_x_range: float,
     max_y_range: float,
     reason: IntArray,
 ) -> None:
-    """Change the `reason` (n,) of beams from DISCARDED to TOO_WIDE where, with what moves beside, they are too wide.
+    """Change the `reason` (n,) of beams from DISCARDED where, with what moves beside, they are too wide for a person.
 
-    Only where those and what moves are more than `mapped_share` of the valid beams.
+    To COME_UP where most of the group is farther than `off_wall` [m] from all occupied cells of the grid, to TOO_WIDE
+    where those and what moves are more than `mapped_share` of the valid beams. Then beams on unknown cells become
+    COME_UP where most of the group that they belong to is on free ones: close to a wall no cell is known to be free.
     """
     n = points.shape[0]
     is_member = np.empty(n, dtype=np.bool_)
-    n_valid = n_members = n_discarded = 0
+    n_valid = n_members = 0
     for k in range(n):
         is_member[k] = reason[k] in (DISCARDED, FREE, VACATED, TRACKED, ALONG)
         n_valid += is_valid[k]
         n_members += is_member[k]
-        n_discarded += reason[k] == DISCARDED
-    if n_discarded == 0 or n_members <= mapped_share * n_valid:
+    if n_members == 0:
         return
+    is_much = n_members > mapped_share * n_valid
     labels = np.empty(n, dtype=np.int64)
     n_clusters = cluster_beams(points, is_member, max_gap, max_skipped_beams, labels)
     box = np.empty((n_clusters, 4))
     cluster_boxes(points, labels, box)
+    is_wide = np.empty(n_clusters, dtype=np.bool_)
+    for c in range(n_clusters):
+        is_wide[c] = box[c, 1] - box[c, 0] > max_x_range or box[c, 3] - box[c, 2] > max_y_range
+    surplus = np.zeros(n_clusters, dtype=np.int64)
     for k in range(n):
-        c = labels[k]
-        is_wide = c >= 0 and (box[c, 1] - box[c, 0] > max_x_range or box[c, 3] - box[c, 2] > max_y_range)
-        if is_wide and reason[k] == DISCARDED:
-            reason[k] = TOO_WIDE
+        if labels[k] >= 0 and is_wide[labels[k]] and math.isfinite(off_wall):
+            stands_off = _stands_off(
+                log_odds,
+                stamp,
+                row0,
+                col0,
+                resolution,
+                oldest,
+                is_fixed,
+                l_occupied,
+                points[k, 0],
+                points[k, 1],
+                off_wall,
+            )
+            surplus[labels[k]] += 1 if stands_off else -1
+    for k in range(n):
+        if reason[k] == DISCARDED and labels[k] >= 0 and is_wide[labels[k]]:
+            if surplus[labels[k]] > 0:
+                reason[k] = COME_UP
+            elif is_much:
+                reason[k] = TOO_WIDE
+    _go_on(points, max_gap, max_skipped_beams, reason)
+
+
+@kernel
+def _go_on(points: FloatArray, max_gap: float, max_skipped_beams: int, reason: IntArray) -> None:
+    """Call beams on unknown cells COME_UP where most of the group that they belong to is on free ones."""
+    n = points.shape[0]
+    is_member = np.empty(n, dtype=np.bool_)
+    for k in range(n):
+        is_member[k] = reason[k] in (UNKNOWN, COME_UP, TOO_WIDE, FREE, VACATED, TRACKED, ALONG)
+    labels = np.empty(n, dtype=np.int64)
+    n_clusters = cluster_beams(points, is_member, max_gap, max_skipped_beams, labels)
+    surplus = np.zeros(n_clusters, dtype=np.int64)
+    for k in range(n):
+        if labels[k] >= 0:
+            surplus[labels[k]] += -1 if reason[k] == UNKNOWN else 1
+    for k in range(n):
+        if labels[k] >= 0 and reason[k] == UNKNOWN and surplus[labels[k]] > 0:
+            reason[k] = COME_UP

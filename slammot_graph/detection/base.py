@@ -42,6 +42,11 @@ class Detection(NamedTuple):
             is_mapped &= self.reason != reason
         return is_mapped
 
+    def is_matched(self, is_valid: BoolArray) -> BoolArray:
+        """(n,) returns that are matched onto the map: static, and not on what has come up and may ride along."""
+        is_matched: BoolArray = is_valid & ~self.is_moving & (self.reason != reasons.COME_UP)
+        return is_matched
+
     def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
         """Give what a tracker needs of the k clusters, with the scan's points (n, 2) in the frame of the pose.
 
@@ -77,7 +82,7 @@ class Detection(NamedTuple):
 
     def abstain(self) -> "Detection":
         """Reject what was called moving, and what was kept out of the map: nothing is."""
-        is_rejected = self.is_moving | (self.reason == reasons.TOO_WIDE)
+        is_rejected = self.is_moving | (self.reason == reasons.TOO_WIDE) | (self.reason == reasons.COME_UP)
         return self._replace(
             is_moving=np.zeros_like(self.is_moving),
             reason=np.where(is_rejected, reasons.ABSTAINED, self.reason),

@@ -1,5 +1,6 @@
 """The detector of moving points: the ellipse test on a grid that it keeps, with what earlier scans tell."""
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -67,9 +68,12 @@ class RetestConfig(Checked):
         The kernel gets narrower down to this share of its scale.
     mapped_share : float
         Where more than this share of the valid beams ends on free cells, what is too wide for a person stays out of the
-        map as long as its cells are known to be free: walls do not come, and what covers the laser, or the floor before
-        a robot that tilts, rides along and would take the map with it. So does, where there is odometry, what lies on
-        free cells though too much of the scan seems to move, or the match failed. 1: never.
+        match, and out of the map as long as its cells are known to be free: walls do not come, and what covers the
+        laser, or the floor before a robot that tilts, rides along and would take the map with it. So does, where there
+        is odometry, what lies on free cells though too much of the scan seems to move, or the match failed. 1: never.
+    off_wall_m : float
+        However few beams they are, the same holds of what is too wide for a person and has most of its points farther
+        from all occupied cells than this: a wall that an error of the pose puts onto free cells is nearer.
     """
 
     same_cells: Share = 0.2
@@ -77,6 +81,7 @@ class RetestConfig(Checked):
     crowd_share: Share = 0.15
     min_kernel_factor: PositiveShare = 0.4
     mapped_share: PositiveShare = 0.2
+    off_wall_m: Positive = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,9 +220,14 @@ class EllipseDetector:
             reach_m,
             self._hits,
             walks_along,
-            1.0 if self.config.retest is None else self.config.retest.mapped_share,
+            *self._kept_apart(),
         )
         return self._kept_out(detection, scan)
+
+    def _kept_apart(self) -> tuple[float, float]:
+        """What tells what is too wide for a person and stays out of match and map, as `detect_moving` takes it."""
+        retest = self.config.retest
+        return (1.0, math.inf) if retest is None else (retest.mapped_share, retest.off_wall_m)
 
     def _kept_out(self, detection: Detection, scan: Scan) -> Detection:
         """Keep out of the map what lies on free cells though the test abstained; the odometry says where it lies."""

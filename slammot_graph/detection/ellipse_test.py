@@ -1,5 +1,6 @@
 """The moving-point test: an end point moves if its covariance ellipse covers free cells only."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,6 +122,7 @@ def detect_moving(
     hits: HitMemory | None = None,
     walks_along: BoolArray | None = None,
     mapped_share: float = 1.0,
+    off_wall_m: float = math.inf,
 ) -> Detection:
     """Run the ellipse test on each beam of a scan, then keep what comes in clusters of a person's size.
 
@@ -144,7 +146,7 @@ def detect_moving(
         What was hit before, frame a.
     walks_along : (n,) bool array, optional
         Beams that move though their cells are occupied or unknown, as `MatchResult.walks_along`.
-    mapped_share : float
+    mapped_share, off_wall_m : float
         As of `RetestConfig`.
     """
     expected = _NOWHERE if predicted_positions is None else predicted_positions
@@ -173,9 +175,18 @@ def detect_moving(
     )
     if mapped_share < 1.0:
         _wide_kernels.mark_wide(
+            grid.log_odds,
+            grid.stamp,
+            grid.row0,
+            grid.col0,
+            grid.config.resolution_m,
+            grid.oldest,
+            not grid.is_rolling,
+            grid.l_occupied,
             points,
             is_valid,
             mapped_share,
+            off_wall_m,
             clusters.max_gap_m,
             clusters.max_skipped_beams,
             clusters.max_x_range_m,

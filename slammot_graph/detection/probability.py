@@ -38,10 +38,11 @@ SHARE_OF_STATIC = {
     reasons.NOT_TESTED: 0.0,
     reasons.FURNITURE: 0.2,
     reasons.TOO_WIDE: 0.3,
+    reasons.COME_UP: 0.3,
     reasons.UNSUPPORTED: 0.4,
 }
 """Share of moving beams among those that were called static, by reason; by the same command (less for
-DISCARDED, which crowds dominate there; TOO_WIDE as that, UNSUPPORTED as ABSTAINED)."""
+DISCARDED, which crowds dominate there; TOO_WIDE and COME_UP as that, UNSUPPORTED as ABSTAINED)."""
 
 
 def cluster_evidence(

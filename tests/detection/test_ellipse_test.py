@@ -40,9 +40,20 @@ def detect(
     config: EllipseTestConfig,
     cov: np.ndarray = SMALL_COV,
     mapped_share: float = 1.0,
+    off_wall_m: float = np.inf,
 ) -> Detection:
     is_valid, clusters = scan.is_valid(), ClusterConfig()
-    return detect_moving(scan, is_valid, POSE, cov, grid, config, clusters, mapped_share=mapped_share)
+    return detect_moving(
+        scan,
+        is_valid,
+        POSE,
+        cov,
+        grid,
+        config,
+        clusters,
+        mapped_share=mapped_share,
+        off_wall_m=off_wall_m,
+    )
 
 
 @pytest.mark.parametrize("window_m", [None, 40.0])
@@ -189,6 +200,23 @@ def test_something_wide_is_mapped_where_it_is_little_of_the_scan_or_as_in_the_pa
     found = detect(before_it(POSE, 1.2, 0.5), seen_room(), EllipseTestConfig(), mapped_share=mapped_share)
     assert (found.reason == reasons.DISCARDED).any()
     assert not (found.reason == reasons.TOO_WIDE).any()
+
+
+@pytest.mark.parametrize("mapped_share", [0.2, 0.9])
+def test_something_wide_away_from_all_walls_is_not_matched_either(mapped_share: float) -> None:
+    """However little of the scan it is; what stands before the wall may be the wall, seen from a wrong pose."""
+    scan, plain = before_it(POSE, 1.2, 0.5), take_scan(POSE)
+    is_before = scan.ranges < plain.ranges - 0.2
+    found = detect(scan, seen_room(), EllipseTestConfig(), mapped_share=mapped_share, off_wall_m=0.3)
+    assert (found.reason[is_before] == reasons.COME_UP).mean() > 0.95
+    assert not found.is_matched(scan.is_valid())[found.reason == reasons.COME_UP].any()
+    assert found.is_matched(scan.is_valid())[~is_before].all()
+    assert found.abstain().is_matched(scan.is_valid()).all()
+    near = replace(plain, ranges=np.where(is_before, plain.ranges - 0.25, plain.ranges))
+    found = detect(near, seen_room(), EllipseTestConfig(), mapped_share=mapped_share, off_wall_m=0.5)
+    is_wide = np.isin(found.reason, (reasons.DISCARDED, reasons.TOO_WIDE))
+    assert np.count_nonzero(is_wide) > 10
+    assert found.is_matched(near.is_valid())[is_wide].all()
 
 
 def test_standing_back_takes_back_what_was_called_moving_and_no_more() -> None:
