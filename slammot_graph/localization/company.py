@@ -5,6 +5,9 @@ it, and in a corridor, whose walls agree with any pose along it, nothing else te
 match says that it stands. Two rigid motions explain the scan then, that of the small things and that of the odometry;
 where the rest of the scan agrees as well with the odometry, and no keyframe from elsewhere has seen the things where
 they are, they are taken for people. The match is made without them, and is as uncertain as the rest leaves it.
+
+What is large may ride along as well, as the floor before a robot on a ramp: a match that leaps away from the odometry
+is not believed where it is such things alone that it explains better.
 """
 
 from dataclasses import dataclass
@@ -171,3 +174,37 @@ class CompanyCheck:
             is_pulling,
         )
         return is_pulling
+
+    def rides_along(
+        self,
+        local_map: LocalMap,
+        points_base: FloatArray,
+        is_used: BoolArray,
+        T_predicted: FloatArray,
+        T_matched: FloatArray,
+    ) -> bool:
+        """Tell whether what speaks for a match (3,) against its prediction (3,) rides along with the robot.
+
+        Of the points (n, 2) that lie near the local map at the match alone most are then near what keyframes close by
+        saw, and those that do at either pose near what was seen from elsewhere: the building agrees with both.
+        """
+        at_match, at_prediction = (se2.transform(T, points_base) for T in (T_matched, T_predicted))
+        counts = np.empty((2, 2), dtype=np.int64)
+        _company_kernels.count_gained(
+            at_match,
+            at_prediction,
+            is_used,
+            local_map.points,
+            local_map.nearest,
+            local_map.inv_cell,
+            local_map.first,
+            local_map.owner,
+            local_map.T_local_keyframes,
+            self.config.reach_m,
+            T_matched[0],
+            T_matched[1],
+            self.config.parallax_m,
+            counts,
+        )
+        (gained_near, gained_far), (both_near, both_far) = counts.tolist()
+        return bool(gained_near > gained_far and both_far > both_near)

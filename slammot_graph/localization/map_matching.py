@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from operator import itemgetter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from slammot_graph.localization.base import fuse
 from slammot_graph.localization.company import CompanyCheck
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.matchers import matcher_failing_below, noisier_matcher
+from slammot_graph.localization.recent_scans import RecentScans, turned_starts
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
@@ -34,14 +34,6 @@ MEAN_NIS = 3.0
 
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
-
-
-class _Lately(NamedTuple):
-    """Where the robot was at the scan before, and before that one, and whether there is odometry since."""
-
-    T_local_before: FloatArray
-    T_local_earlier: FloatArray
-    has_odometry: bool
 
 
 class MapMatching:
@@ -65,7 +57,7 @@ class MapMatching:
         self.local_map = local_map
         self.matcher = make_matcher(config.point_to_line)
         self.laser_base: FloatArray = np.zeros(2)
-        self._lately = _Lately(se2.IDENTITY, se2.IDENTITY, has_odometry=False)
+        self._recent = RecentScans()
         self._static_share = 1.0
         self._usual_agreement = 0.0
         self._noise_scale = 1.0
@@ -75,7 +67,12 @@ class MapMatching:
         self._company = None if config.company is None else CompanyCheck(config.company)
 
     def start_scan(
-        self, laser_base: FloatArray, T_local_before: FloatArray, *, has_odometry: bool = False
+        self,
+        laser_base: FloatArray,
+        T_local_before: FloatArray,
+        *,
+        has_odometry: bool = False,
+        most_change_m: float = math.inf,
     ) -> None:
         """Move on to the next scan.
 
@@ -88,8 +85,10 @@ class MapMatching:
         has_odometry : bool
             There is odometry, without which who walks along cannot be told from the building, and which holds against
             a match that few returns agree with.
+        most_change_m : float
+            How far the robot can have come off the motion that the odometry tells.
         """
-        self._lately = _Lately(T_local_before, self._lately.T_local_before, has_odometry)
+        self._recent.start_scan(T_local_before, has_odometry=has_odometry, most_change_m=most_change_m)
         self.laser_base = laser_base
         if self._latest is not None and self._latest.status == "converged":
             agreement = self.agreement(self._latest)
@@ -199,6 +198,10 @@ class MapMatching:
         """Let a match that most returns agree with contradict the prediction."""
         if self._is_doubtful(matched[0]):
             elsewhere = self._match_elsewhere(points_base, is_valid, matched[0], start)
+            if elsewhere is not None and self._is_unlikely(
+                points_base, is_valid, start.T_local_base, elsewhere.T_local_base
+            ):
+                elsewhere = None
             if elsewhere is None:
                 needed = self.config.adrift_share * self._usual_agreement
                 if self.is_adrift and self.agreement(matched[0]) < needed:
@@ -212,9 +215,29 @@ class MapMatching:
             loosened = start.loosened((scale - 1.0) * start.cov_motion)
             second = self._match_from(points_base, is_static, loosened)
             needed = min(self.config.min_agreement, self.agreement(matched[0]) + self.config.tail_gain)
-            if self.agreement(second[0]) >= needed:
+            if self.agreement(second[0]) >= needed and not self._is_unlikely(
+                points_base, is_static, start.T_local_base, second[1]
+            ):
                 return second, loosened
+        if matched[0].nis > UNLIKELY_NIS and self._recent.is_out_of_reach(start.T_local_base, matched[1]):
+            return self._held(points_base, is_static, matched, start), start
         return matched, start
+
+    def _is_unlikely(
+        self, points_base: FloatArray, is_used: BoolArray, T_predicted: FloatArray, T_matched: FloatArray
+    ) -> bool:
+        """Tell whether a match is not believed against its prediction (3,), however many returns agree."""
+        return self._recent.is_out_of_reach(T_predicted, T_matched) or self._rides_along(
+            points_base, is_used, T_predicted, T_matched
+        )
+
+    def _rides_along(
+        self, points_base: FloatArray, is_used: BoolArray, T_predicted: FloatArray, T_matched: FloatArray
+    ) -> bool:
+        """Tell whether what speaks for a pose (3,) that the prediction (3,) is far from rides along with the robot."""
+        if self._company is None or not self._recent.has_odometry:
+            return False
+        return self._company.rides_along(self.local_map, points_base, is_used, T_predicted, T_matched)
 
     def _held(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
@@ -224,7 +247,7 @@ class MapMatching:
         Its noise is stretched until it is likely, as that of the motion is where most returns agree.
         """
         match = matched[0]
-        if not self._lately.has_odometry or match.status == "failed" or match.nis <= UNLIKELY_NIS:
+        if not self._recent.has_odometry or match.status == "failed" or match.nis <= UNLIKELY_NIS:
             return matched
         scale = self._noise_scale * math.sqrt(match.nis / MEAN_NIS)
         return self._match_from(
@@ -236,7 +259,7 @@ class MapMatching:
     ) -> tuple[BoolArray, Match]:
         """Leave out small things that alone pull the match away from the odometry; gives the points used, too."""
         company, match = self._company, matched.result
-        if company is None or not self._lately.has_odometry or match.status == "failed":
+        if company is None or not self._recent.has_odometry or match.status == "failed":
             return is_static, matched
         config = company.config
         company.walks_along = None
@@ -304,20 +327,21 @@ class MapMatching:
         needed = max(agreement + self.config.agreement_gain, self.config.min_agreement)
         most_m, most_rad = self._farthest(start)
         reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
-        rounds = [self._starts_before() + self._turned_starts(start, 0.0, reach_rad)]
+        step_rad = self.config.turn_step_rad
+        rounds = [self._recent.starts() + turned_starts(start.T_local_base, step_rad, 0.0, reach_rad)]
         is_astray = not self.is_adrift and agreement < self.config.astray_share * self._usual_agreement
         if self.is_adrift:
             needed = max(needed, self.config.adrift_share * self._usual_agreement)
             std_m = math.sqrt(np.trace(start.cov_motion[:2, :2]))
             shifted = self._best_shifted(points_base, is_valid, anywhere, std_m)
-            rounds = [[*rounds[0], *self._turned_starts(start, reach_rad, math.pi), shifted]]
+            rounds = [[*rounds[0], *turned_starts(start.T_local_base, step_rad, reach_rad, math.pi), shifted]]
         elif is_astray:
-            rounds.append(self._turned_starts(start, reach_rad, math.pi))
+            rounds.append(turned_starts(start.T_local_base, step_rad, reach_rad, math.pi))
         found = list[tuple[float, FloatArray]]()
         for starts in rounds:
             for T in starts:
                 match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
-                way_m, turn_rad = se2.distance(self._lately.T_local_before, T_found)
+                way_m, turn_rad = se2.distance(self._recent.T_local_before, T_found)
                 if match.status == "converged" and way_m <= most_m and turn_rad <= most_rad:
                     found.append((match.inlier_ratio, T_found))
             best = max(found, key=itemgetter(0), default=None)
@@ -334,13 +358,8 @@ class MapMatching:
         """
         if self.is_adrift:
             return math.inf, math.inf
-        before, earlier, _ = self._lately
-        told_m, told_rad = se2.distance(before, start.T_local_base)
-        lately_m, lately_rad = se2.distance(earlier, before)
-        return (
-            self.config.adrift_m + REACH * max(told_m, lately_m),
-            self.config.lost_std_rad + REACH * max(told_rad, lately_rad),
-        )
+        way_m, turn_rad = self._recent.farthest(start.T_local_base)
+        return self.config.adrift_m + REACH * way_m, self.config.lost_std_rad + REACH * turn_rad
 
     def _leads(
         self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float
@@ -370,21 +389,9 @@ class MapMatching:
         for i, j in shifts:
             T = se2.compose(start.T_local_base, np.array([i * step_m, j * step_m, 0.0]))
             there = start._replace(T_local_base=T)
-            for T_start in (T, *self._turned_starts(there, 0.0, math.pi)):
+            for T_start in (T, *turned_starts(T, self.config.turn_step_rad, 0.0, math.pi)):
                 at = there._replace(T_local_base=T_start)
                 match, T_found, _ = self._match_from(points_base, some, at, matcher=matcher)
                 if match.inlier_ratio > best:
                     best, T_best = match.inlier_ratio, T_found
         return T_best
-
-    def _starts_before(self) -> list[FloatArray]:
-        """Where the robot was before, and where its last motion leads."""
-        before, earlier, _ = self._lately
-        return [before, se2.compose(before, se2.between(earlier, before))]
-
-    def _turned_starts(self, start: MotionState, beyond_rad: float, reach_rad: float) -> list[FloatArray]:
-        """The predicted pose turned either way, in steps, by more than one angle and up to another."""
-        step_rad = self.config.turn_step_rad
-        steps = range(int(beyond_rad / step_rad) + 1, int(reach_rad / step_rad) + 1)
-        turns = [sign * k * step_rad for k in steps for sign in (1.0, -1.0)]
-        return [se2.compose(start.T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]

@@ -89,6 +89,7 @@ class ScanToMap:
             scan.origins_base,
             self.propagation.T_local_before,
             has_odometry=scan.T_odom_base is not None,
+            most_change_m=self.propagation.model.most_change_m,
         )
         self._sweep, self._sweep_before, self._sweep_end = None, self._sweep_end, None
         self.matching.scale_noise(self.propagation.model.match_noise_scale)

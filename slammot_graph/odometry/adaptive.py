@@ -48,7 +48,8 @@ class AdaptiveOdometryConfig(Checked):
     previous_motion : PreviousMotionConfig
     innovation_noise : InnovationNoiseConfig
     max_acceleration_m_s2, max_acceleration_rad_s2 : float
-        No robot changes its velocity faster: an increment of the odometry that asks for more is wrong.
+        No robot changes its velocity faster: an increment of the odometry is wrong that asks for more after the motion
+        before, and after the latest increment that was not wrong.
     error_gain : float
         Weight of the latest scan in the running means by which both predictions are judged, that of an equal share in
         the mean at first.
@@ -218,6 +219,17 @@ class AdaptiveOdometry:
         """See `MotionModel`."""
         return self._record.told is not None and not self._record.is_odometry_used
 
+    @property
+    def most_change_m(self) -> float:
+        """See `MotionModel`: where the odometry is used."""
+        if (
+            self._record.told is None
+            or not self._record.is_odometry_used
+            or not self._history.clock.is_steady
+        ):
+            return math.inf
+        return self._most_change_m(self._history.clock.step_s**2)
+
     def report(self) -> OdometryReport:
         """What was found out so far."""
         now, record = self.calibration.now, self._record
@@ -278,16 +290,26 @@ class AdaptiveOdometry:
         return replace(sweep, cov_velocity=sweep.cov_velocity + share**2 * self.previous.cov_velocity)
 
     def _is_possible(self, told: Motion) -> bool:
-        """Tell whether a robot can have made a motion, given the one that it made before."""
-        step_s = self._history.clock.step_s
-        return self._is_possible_change(told.increment - self._record.previous, step_s * step_s)
+        """Tell whether a robot can have made a motion, given the one that it made before.
+
+        By the matches or by the odometry: of two that differ at once the one that has gone on as before is not wrong.
+        """
+        time_s2 = self._history.clock.step_s**2
+        before = self._record.told_possible
+        if self._is_possible_change(told.increment - self._record.previous, time_s2):
+            return True
+        return before is not None and self._is_possible_change(told.increment - before, time_s2)
 
     def _is_possible_change(self, change: FloatArray, time_s2: float) -> bool:
         """Tell whether a motion can differ so (3,) from the one at the velocity before."""
         dx, dy, turn = change.tolist()
-        if math.hypot(dx, dy) > self.config.max_acceleration_m_s2 * time_s2 + 0.05:
+        if math.hypot(dx, dy) > self._most_change_m(time_s2):
             return False
         return bool(abs(turn) < self.config.max_acceleration_rad_s2 * time_s2 + 0.05)
+
+    def _most_change_m(self, time_s2: float) -> float:
+        """By how much a motion can differ from that of the velocity before; a little more for noise."""
+        return self.config.max_acceleration_m_s2 * time_s2 + 0.05
 
     def _learn(self, T_before: FloatArray, match: MatchedPose) -> None:
         """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""

@@ -1,5 +1,7 @@
 """Odometry as it is, and the previous motion where a scan has none: for methods that do not learn."""
 
+import math
+
 import numpy as np
 
 from slammot_graph.core import se2
@@ -25,6 +27,7 @@ class OdometryOrPreviousMotion:
     """
 
     is_contradicted = False
+    most_change_m = math.inf
     match_noise_scale = 1.0
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:

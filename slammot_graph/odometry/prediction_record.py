@@ -31,6 +31,7 @@ class PredictionRecord:
         self.is_odometry_used = True
         self.is_possible = True
         self.told: Motion | None = None
+        self.told_possible: FloatArray | None = None
         self.previous: FloatArray = np.zeros(3)
         # share of returns that agree with the matches
         self.agreement = RunningMeans(1)
@@ -45,6 +46,8 @@ class PredictionRecord:
     def count(self, *, use_odometry: bool, is_possible: bool) -> None:
         """Count what was used."""
         self.is_possible = is_possible
+        if is_possible:
+            self.told_possible = None if self.told is None else self.told.increment
         self.is_odometry_used = use_odometry
         self.n_by_odometry += use_odometry
         self.n_by_previous += not use_odometry

@@ -32,6 +32,10 @@ class MotionModel(Protocol):
         """Whether there is odometry at the latest scan that cannot be believed."""
 
     @property
+    def most_change_m(self) -> float:
+        """How far off the latest motion a robot can have come [m]; infinite where that is not the odometry's."""
+
+    @property
     def match_noise_scale(self) -> float:
         """How much larger the matches' standard deviations are than they claim, at least 1."""
 
@@ -68,6 +72,7 @@ class WheelOdometry:
     """
 
     is_contradicted = False
+    most_change_m = math.inf
     match_noise_scale = 1.0
 
     def __init__(self, noise: OdometryNoise | ConstantNoise) -> None:

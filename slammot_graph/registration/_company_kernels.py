@@ -131,3 +131,40 @@ def keep_pulling(
         is_suspect[k] = is_suspect[k] and gain[thing[k]] > 0.0
         n_kept += is_suspect[k]
     return n_kept
+
+
+@kernel
+def count_gained(
+    points_at: FloatArray,
+    points_before: FloatArray,
+    is_used: BoolArray,
+    map_points: FloatArray,
+    nearest: "np.ndarray",
+    inv_cell: float,
+    first: int,
+    owner: "np.ndarray",
+    T_keyframes: FloatArray,
+    reach: float,
+    x: float,
+    y: float,
+    parallax: float,
+    out: IntArray,
+) -> None:
+    """Count in `out` (2, 2) the used points near the map at the one pose: [not at the other, at both], [near, far].
+
+    Near: the local map's point is of a keyframe within `parallax` [m] of the robot (x, y).
+    """
+    out[:] = 0
+    reach2 = reach * reach
+    for k in range(points_at.shape[0]):
+        if not is_used[k]:
+            continue
+        m = partner(points_at[k, 0], points_at[k, 1], map_points, nearest, inv_cell, first, reach2)
+        if m < 0:
+            continue
+        before = partner(
+            points_before[k, 0], points_before[k, 1], map_points, nearest, inv_cell, first, reach2
+        )
+        seen_from = T_keyframes[owner[m]]
+        is_far = math.hypot(seen_from[0] - x, seen_from[1] - y) > parallax
+        out[1 if before >= 0 else 0, 1 if is_far else 0] += 1

@@ -8,11 +8,12 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.localization import ScanToMapConfig
-from slammot_graph.localization.company import CompanyConfig
+from slammot_graph.localization.company import CompanyCheck, CompanyConfig
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
 from slammot_graph.odometry import MotionState
 from slammot_graph.registration import _company_kernels
+from slammot_graph.registration._pair_kernels import partner
 from tests.rooms import CORRIDOR, LASER, box, is_person, take_scan
 
 COMPANY = np.array([[1.2, 0.4, 0.25], [-0.3, -0.7, 0.25], [1.1, -0.45, 0.25]])
@@ -140,3 +141,69 @@ def test_only_those_who_pull_walk_along() -> None:
     who = scan.truth.object_id
     assert pulling[who == 0].mean() > 0.9
     assert not pulling[(who == 1) | (who == 2)].any()
+
+
+def floor_before(T_local_base: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Returns of a robot down a corridor before which the floor comes up, base frame; and those on it."""
+    scan = take_scan(T_local_base, walls=CORRIDOR)
+    floor = 1.5 / np.maximum(np.cos(LASER.angles_base), 0.05)
+    is_floor = floor < scan.ranges
+    scan.ranges[:] = np.minimum(scan.ranges, floor)
+    return scan.points_base(), scan.is_valid() & is_floor
+
+
+def test_what_comes_up_before_the_robot_speaks_for_no_leap() -> None:
+    local_map = LocalMap(LocalMapConfig())
+    for k, x_m in enumerate((-1.0, 0.0)):
+        T = np.array([x_m, 0.0, 0.0])
+        scan = take_scan(T, walls=CORRIDOR)
+        points, is_used = (scan.points_base(), scan.is_valid()) if k == 0 else floor_before(T)
+        if k:
+            is_used = np.ones_like(is_used)
+        local_map.add(make_keyframe(k, T, points, is_used, LASER, local_map.config))
+    check, predicted, held = CompanyCheck(CompanyConfig()), np.array([0.4, 0.0, 0.0]), np.zeros(3)
+    points, is_floor = floor_before(predicted)
+    assert np.count_nonzero(is_floor) > 20
+    everything = np.ones(len(points), dtype=np.bool_)
+    assert check.rides_along(local_map, points, everything, predicted, held)
+    # the odometry has slipped: what was seen from elsewhere tells so
+    still = take_scan(held, walls=CORRIDOR)
+    assert not check.rides_along(local_map, still.points_base(), still.is_valid(), predicted, held)
+
+
+def test_what_only_one_pose_explains_is_counted_as_its_twin_does(rng: np.random.Generator) -> None:
+    local_map = LocalMap(LocalMapConfig())
+    for k in range(3):
+        T = np.array([0.4 * k, 0.0, 0.0])
+        scan = take_scan(T, walls=WIDE_ROOM)
+        local_map.add(make_keyframe(k, T, scan.points_base(), scan.is_valid(), LASER, local_map.config))
+    T = np.array([0.9, 0.1, 0.02])
+    at = se2.transform(T, take_scan(T, walls=WIDE_ROOM).points_base())
+    before = at + rng.normal(0.0, 0.2, at.shape)
+    is_used, counts = rng.random(len(at)) < 0.8, np.empty((2, 2), dtype=np.int64)
+    _company_kernels.count_gained(
+        at,
+        before,
+        is_used,
+        local_map.points,
+        local_map.nearest,
+        local_map.inv_cell,
+        local_map.first,
+        local_map.owner,
+        local_map.T_local_keyframes,
+        0.1,
+        T[0],
+        T[1],
+        0.5,
+        counts,
+    )
+
+    def near(points: FloatArray) -> IntArray:
+        arguments = local_map.points, local_map.nearest, local_map.inv_cell, local_map.first, 0.1**2
+        return np.array([partner(x, y, *arguments) for x, y in points.tolist()])
+
+    m = near(at)
+    is_far = np.hypot(*(local_map.T_local_keyframes[local_map.owner[m], :2] - T[:2]).T) > 0.5
+    for row, is_both in enumerate((near(before) < 0, near(before) >= 0)):
+        for column, is_there in enumerate((~is_far, is_far)):
+            assert counts[row, column] == np.count_nonzero(is_used & (m >= 0) & is_both & is_there) > 0

@@ -218,6 +218,30 @@ def test_the_odometry_holds_against_an_unlikely_match_of_few_returns(
     assert (match.nis < UNLIKELY_NIS) == has_odometry
 
 
+def test_where_no_robot_can_have_come_to_is_believed_at_the_third_scan_that_says_so() -> None:
+    """The scan before was matched wrongly then; what rides along leads on from scan to scan."""
+    wrong = se2.compose(STEP, np.array([0.3, 0.0, 0.0]))
+    for shifts, is_believed in (((0.0, 0.0, 0.0), True), ((-0.3, 0.0, 0.0), False), ((0.0, 0.3, 0.0), False)):
+        matching = used_to_agreement(matching_at(np.zeros(3)))
+        off = []
+        for shift in shifts:
+            matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=True, most_change_m=0.15)
+            start = certain_at(se2.compose(wrong, np.array([0.0, shift, 0.0])))
+            _, state = matching.match(POINTS, IS_VALID, start)
+            off.append(errors(STEP, state.T_local_base)[0])
+        assert min(off[:2]) > 0.2
+        assert (off[2] < 5e-3) == is_believed
+
+
+def test_a_scan_without_a_leap_between_begins_anew() -> None:
+    matching = used_to_agreement(matching_at(np.zeros(3)))
+    wrong, off = se2.compose(STEP, np.array([0.3, 0.0, 0.0])), []
+    for T in (wrong, wrong, STEP, wrong):
+        matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=True, most_change_m=0.15)
+        off.append(errors(STEP, matching.match(POINTS, IS_VALID, certain_at(T))[1].T_local_base)[0])
+    assert off[3] > 0.2
+
+
 def test_one_person_who_leads_the_robot_down_a_corridor_contradicts_nothing() -> None:
     """Nearly all returns agree with any pose along it; who walks ahead alone would hold the robot where it was."""
     local_map, T = LocalMap(LocalMapConfig()), np.array([0.0, 0.1, 0.0])

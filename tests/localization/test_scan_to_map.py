@@ -1,3 +1,4 @@
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -219,6 +220,7 @@ class PreviousMotion:
     """Without wheels: the motion is that of the scan before."""
 
     is_contradicted = False
+    most_change_m = math.inf
     match_noise_scale = 1.0
     common_stds = np.zeros(4)
 

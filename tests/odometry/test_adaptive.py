@@ -126,6 +126,25 @@ def path_of(steps: FloatArray) -> FloatArray:
     return T
 
 
+def test_odometry_that_goes_on_as_before_is_used_though_a_match_leaps() -> None:
+    """Down a corridor nothing would tell of the wrong velocity that such a match leaves behind."""
+    steps = true_steps(100)
+    found = steps.copy()
+    found[60, 0] += 0.4
+    drive = Drive(steps, steps)
+    model = drive.run(found=found)
+    assert not any(drive.is_contradicted)
+    np.testing.assert_allclose(drive.predicted(), steps, atol=1e-9)
+    assert model.report().n_contradictions == 0
+
+
+def test_a_robot_comes_off_the_motion_that_the_odometry_tells_by_what_its_acceleration_allows() -> None:
+    steps = true_steps(100)
+    drive = Drive(steps, steps, has_odometry=101 * [True])
+    assert drive.run().most_change_m == pytest.approx(0.5 * 0.3, abs=0.01)  # 10 m/s^2 in 0.1 s, and 5 cm
+    assert Drive(steps, steps, has_odometry=101 * [False]).run().most_change_m == np.inf
+
+
 @pytest.mark.parametrize("leap", [[2.0, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.0, 1.5], [1e6, 0.0, 0.0]])
 def test_a_leap_that_no_robot_can_make_is_not_used(leap: list[float]) -> None:
     steps = true_steps(240)
