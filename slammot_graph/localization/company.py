@@ -11,6 +11,7 @@ is not believed where it is such things alone that it explains better.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -175,22 +176,18 @@ class CompanyCheck:
         )
         return is_pulling
 
-    def rides_along(
+    def support(
         self,
         local_map: LocalMap,
         points_base: FloatArray,
         is_used: BoolArray,
         T_predicted: FloatArray,
         T_matched: FloatArray,
-    ) -> bool:
-        """Tell whether what speaks for a match (3,) against its prediction (3,) rides along with the robot.
-
-        Of the points (n, 2) that lie near the local map at the match alone most are then near what keyframes close by
-        saw, and those that do at either pose near what was seen from elsewhere: the building agrees with both.
-        """
+    ) -> "Support":
+        """Tell which of the points (n, 2) lie near the local map at a match (3,), and which at its prediction (3,)."""
         at_match, at_prediction = (se2.transform(T, points_base) for T in (T_matched, T_predicted))
-        counts = np.empty((2, 2), dtype=np.int64)
-        _company_kernels.count_gained(
+        counts = np.empty((3, 2), dtype=np.int64)
+        _company_kernels.count_supported(
             at_match,
             at_prediction,
             is_used,
@@ -206,5 +203,30 @@ class CompanyCheck:
             self.config.parallax_m,
             counts,
         )
-        (gained_near, gained_far), (both_near, both_far) = counts.tolist()
-        return bool(gained_near > gained_far and both_far > both_near)
+        return Support(counts[0], counts[1], counts[2], int(np.count_nonzero(is_used)))
+
+
+class Support(NamedTuple):
+    """How many points lie near the local map at a match alone, at its prediction alone, and at both; of how many.
+
+    Each as two numbers: near what keyframes close by saw, and near what was seen from elsewhere.
+    """
+
+    gained: IntArray
+    lost: IntArray
+    both: IntArray
+    n: int
+
+    @property
+    def rides_along(self) -> bool:
+        """Whether what speaks for the match rides along with the robot.
+
+        Most of it lies then near what keyframes close by saw, and most of what agrees with both poses, as the building
+        does, near what was seen from elsewhere.
+        """
+        return bool(self.gained[0] > self.gained[1] and self.both[1] > self.both[0])
+
+    @property
+    def gained_share(self) -> float:
+        """Of the points, those near the local map at the match, less those near it at the prediction."""
+        return float(self.gained.sum() - self.lost.sum()) / max(self.n, 1)

@@ -198,8 +198,8 @@ class MapMatching:
         """Let a match that most returns agree with contradict the prediction."""
         if self._is_doubtful(matched[0]):
             elsewhere = self._match_elsewhere(points_base, is_valid, matched[0], start)
-            if elsewhere is not None and self._is_unlikely(
-                points_base, is_valid, start.T_local_base, elsewhere.T_local_base
+            if elsewhere is not None and not self._is_believed(
+                points_base, is_valid, start, elsewhere.T_local_base, self.config.agreement_gain
             ):
                 elsewhere = None
             if elsewhere is None:
@@ -215,29 +215,32 @@ class MapMatching:
             loosened = start.loosened((scale - 1.0) * start.cov_motion)
             second = self._match_from(points_base, is_static, loosened)
             needed = min(self.config.min_agreement, self.agreement(matched[0]) + self.config.tail_gain)
-            if self.agreement(second[0]) >= needed and not self._is_unlikely(
-                points_base, is_static, start.T_local_base, second[1]
+            if self.agreement(second[0]) >= needed and self._is_believed(
+                points_base, is_static, start, second[1], -1.0
             ):
                 return second, loosened
         if matched[0].nis > UNLIKELY_NIS and self._recent.is_out_of_reach(start.T_local_base, matched[1]):
             return self._held(points_base, is_static, matched, start), start
         return matched, start
 
-    def _is_unlikely(
-        self, points_base: FloatArray, is_used: BoolArray, T_predicted: FloatArray, T_matched: FloatArray
+    def _is_believed(
+        self,
+        points_base: FloatArray,
+        is_used: BoolArray,
+        start: MotionState,
+        T_matched: FloatArray,
+        gain: float,
     ) -> bool:
-        """Tell whether a match is not believed against its prediction (3,), however many returns agree."""
-        return self._recent.is_out_of_reach(T_predicted, T_matched) or self._rides_along(
-            points_base, is_used, T_predicted, T_matched
-        )
+        """Tell whether a match (3,) is believed against the odometry: more than a share of the returns speaks for it.
 
-    def _rides_along(
-        self, points_base: FloatArray, is_used: BoolArray, T_predicted: FloatArray, T_matched: FloatArray
-    ) -> bool:
-        """Tell whether what speaks for a pose (3,) that the prediction (3,) is far from rides along with the robot."""
+        And that does not ride along, and a robot can have come there.
+        """
         if self._company is None or not self._recent.has_odometry:
+            return True
+        if self._recent.is_out_of_reach(start.T_local_base, T_matched):
             return False
-        return self._company.rides_along(self.local_map, points_base, is_used, T_predicted, T_matched)
+        support = self._company.support(self.local_map, points_base, is_used, start.T_local_base, T_matched)
+        return not support.rides_along and support.gained_share > gain
 
     def _held(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState

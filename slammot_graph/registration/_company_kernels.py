@@ -134,7 +134,7 @@ def keep_pulling(
 
 
 @kernel
-def count_gained(
+def count_supported(
     points_at: FloatArray,
     points_before: FloatArray,
     is_used: BoolArray,
@@ -150,9 +150,10 @@ def count_gained(
     parallax: float,
     out: IntArray,
 ) -> None:
-    """Count in `out` (2, 2) the used points near the map at the one pose: [not at the other, at both], [near, far].
+    """Count in `out` (3, 2) the used points near the map: [at the first pose, at the second, at both], [near, far].
 
-    Near: the local map's point is of a keyframe within `parallax` [m] of the robot (x, y).
+    Near: the local map's point is of a keyframe within `parallax` [m] of the robot (x, y); at both poses that of the
+    first counts.
     """
     out[:] = 0
     reach2 = reach * reach
@@ -160,11 +161,16 @@ def count_gained(
         if not is_used[k]:
             continue
         m = partner(points_at[k, 0], points_at[k, 1], map_points, nearest, inv_cell, first, reach2)
-        if m < 0:
-            continue
         before = partner(
             points_before[k, 0], points_before[k, 1], map_points, nearest, inv_cell, first, reach2
         )
-        seen_from = T_keyframes[owner[m]]
+        if m < 0 and before < 0:
+            continue
+        row = 2
+        if before < 0:
+            row = 0
+        elif m < 0:
+            row = 1
+        seen_from = T_keyframes[owner[before if m < 0 else m]]
         is_far = math.hypot(seen_from[0] - x, seen_from[1] - y) > parallax
-        out[1 if before >= 0 else 0, 1 if is_far else 0] += 1
+        out[row, 1 if is_far else 0] += 1

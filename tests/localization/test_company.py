@@ -165,10 +165,10 @@ def test_what_comes_up_before_the_robot_speaks_for_no_leap() -> None:
     points, is_floor = floor_before(predicted)
     assert np.count_nonzero(is_floor) > 20
     everything = np.ones(len(points), dtype=np.bool_)
-    assert check.rides_along(local_map, points, everything, predicted, held)
+    assert check.support(local_map, points, everything, predicted, held).rides_along
     # the odometry has slipped: what was seen from elsewhere tells so
     still = take_scan(held, walls=CORRIDOR)
-    assert not check.rides_along(local_map, still.points_base(), still.is_valid(), predicted, held)
+    assert not check.support(local_map, still.points_base(), still.is_valid(), predicted, held).rides_along
 
 
 def test_what_only_one_pose_explains_is_counted_as_its_twin_does(rng: np.random.Generator) -> None:
@@ -178,10 +178,10 @@ def test_what_only_one_pose_explains_is_counted_as_its_twin_does(rng: np.random.
         scan = take_scan(T, walls=WIDE_ROOM)
         local_map.add(make_keyframe(k, T, scan.points_base(), scan.is_valid(), LASER, local_map.config))
     T = np.array([0.9, 0.1, 0.02])
-    at = se2.transform(T, take_scan(T, walls=WIDE_ROOM).points_base())
-    before = at + rng.normal(0.0, 0.2, at.shape)
-    is_used, counts = rng.random(len(at)) < 0.8, np.empty((2, 2), dtype=np.int64)
-    _company_kernels.count_gained(
+    there = se2.transform(T, take_scan(T, walls=WIDE_ROOM).points_base())
+    at, before = (there + rng.normal(0.0, std_m, there.shape) for std_m in (0.1, 0.2))
+    is_used, counts = rng.random(len(at)) < 0.8, np.empty((3, 2), dtype=np.int64)
+    _company_kernels.count_supported(
         at,
         before,
         is_used,
@@ -202,8 +202,10 @@ def test_what_only_one_pose_explains_is_counted_as_its_twin_does(rng: np.random.
         arguments = local_map.points, local_map.nearest, local_map.inv_cell, local_map.first, 0.1**2
         return np.array([partner(x, y, *arguments) for x, y in points.tolist()])
 
-    m = near(at)
-    is_far = np.hypot(*(local_map.T_local_keyframes[local_map.owner[m], :2] - T[:2]).T) > 0.5
-    for row, is_both in enumerate((near(before) < 0, near(before) >= 0)):
+    m, other = near(at), near(before)
+    at_rows = (m >= 0) & (other < 0), (m < 0) & (other >= 0), (m >= 0) & (other >= 0)
+    row = np.where(m >= 0, m, other)
+    is_far = np.hypot(*(local_map.T_local_keyframes[local_map.owner[row], :2] - T[:2]).T) > 0.5
+    for k, is_row in enumerate(at_rows):
         for column, is_there in enumerate((~is_far, is_far)):
-            assert counts[row, column] == np.count_nonzero(is_used & (m >= 0) & is_both & is_there) > 0
+            assert counts[k, column] == np.count_nonzero(is_used & is_row & is_there) > 0
