@@ -20,6 +20,7 @@ FindingKind = Literal[
     "inconsistent matches",
     "lost",
     "laser blind",
+    "floor or cover",
     "contradiction",
     "no odometry",
     "odometry never moves",

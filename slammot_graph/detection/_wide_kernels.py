@@ -81,12 +81,16 @@ def mark_wide(
     """
     n = points.shape[0]
     is_member = np.empty(n, dtype=np.bool_)
-    n_valid = n_members = 0
+    n_valid = n_members = n_discarded = 0
     for k in range(n):
         is_member[k] = reason[k] in (DISCARDED, FREE, VACATED, TRACKED, ALONG)
         n_valid += is_valid[k]
         n_members += is_member[k]
+        n_discarded += reason[k] == DISCARDED
     if n_members == 0:
+        return
+    if n_discarded == 0:
+        _go_on(points, max_gap, max_skipped_beams, reason)
         return
     is_much = n_members > mapped_share * n_valid
     labels = np.empty(n, dtype=np.int64)

@@ -6,6 +6,7 @@ from slammot_graph.core.events import FOUND_AGAIN, PREDICTED_CAUSES
 from slammot_graph.core.match_result import MatchStatus
 from slammot_graph.core.results import Health, StepResult
 from slammot_graph.core.spool import Spool
+from slammot_graph.diagnosis.come_up import ComeUp
 from slammot_graph.diagnosis.consistency import InnovationConsistency
 from slammot_graph.diagnosis.inspect import MatchLimits, ScanStatistics
 from slammot_graph.diagnosis.odometry import OdometryStatistics
@@ -21,6 +22,7 @@ class RunStatistics:
     scans : ScanStatistics
     odometry : OdometryStatistics
     turns : TurnAgreement
+    come_up : ComeUp
     consistency : InnovationConsistency
     matches : Counter
         Scans by the status of their match; "none" where there was none.
@@ -30,10 +32,8 @@ class RunStatistics:
         How often the robot was lost.
     n_apart : int
         How often it was and has not been found again: where that part of the run lies in the map is not known.
-    n_contradictions : int
-        How often match and odometry began to contradict each other.
-    first_contradiction : int or None
-        Its scan.
+    contradictions : list of int
+        Scans at which match and odometry began to contradict each other.
     blind : list of (int, str)
         Scans from which on the laser was blind, and the cause.
     """
@@ -43,12 +43,12 @@ class RunStatistics:
         self.scans = ScanStatistics(limits)
         self.odometry = OdometryStatistics()
         self.turns = TurnAgreement()
+        self.come_up = ComeUp()
         self.consistency = InnovationConsistency()
         self.matches: Counter[MatchStatus | str] = Counter()
         self.health: Counter[Health] = Counter()
         self.n_lost = self.n_apart = 0
-        self.n_contradictions = 0
-        self.first_contradiction: int | None = None
+        self.contradictions: list[int] = []
         self.blind: list[tuple[int, str]] = []
 
     @property
@@ -61,6 +61,7 @@ class RunStatistics:
         self.scans.add(step.scan)
         self.odometry.add(step.scan.stamp, step.scan.T_odom_base, step.T_map_base)
         self.turns.add(step)
+        self.come_up.add(step)
         self.consistency.add(step)
         self.matches["none" if step.match is None else step.match.status] += 1
         self.health[step.health] += 1
@@ -73,6 +74,4 @@ class RunStatistics:
             if event.kind == "laser blind":
                 self.blind.append((event.scan, event.data["cause"]))
             if event.kind == "contradiction":
-                self.n_contradictions += 1
-                if self.first_contradiction is None:
-                    self.first_contradiction = event.scan
+                self.contradictions.append(event.scan)

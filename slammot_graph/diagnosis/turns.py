@@ -8,6 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.findings import Finding
 from slammot_graph.core.results import StepResult
 from slammot_graph.core.types import FloatArray
+from slammot_graph.detection.reasons import COME_UP
 
 TURNING_RAD, STRAIGHT_RAD = 0.1, 0.02
 """From scan to scan: a sweep over the first bends a wall 5 m away by 0.5 m at its end, over the second by 0.1 m."""
@@ -21,11 +22,12 @@ MAX_RATIO = 0.87
 
 
 def agreement_of(step: StepResult) -> float:
-    """Share of a scan's returns that agree with the local map; those called moving do not."""
+    """Share of a scan's returns that agree with the local map; those that were not matched do not."""
     if step.match is None or step.match.status == "failed":
         return 0.0
     n_valid = int(np.count_nonzero(step.is_valid))
-    share = np.count_nonzero(step.is_valid & ~step.is_moving) / max(n_valid, 1)
+    is_matched = step.is_valid & ~step.is_moving & (step.reason != COME_UP)
+    share = np.count_nonzero(is_matched) / max(n_valid, 1)
     return float(share * step.match.inlier_ratio)
 
 

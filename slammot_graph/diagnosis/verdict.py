@@ -68,6 +68,7 @@ def diagnose(
         may_contradict = report.has_odometry and "odometry never moves" not in kinds
         found += _of_matches(statistics, may_contradict=may_contradict)
         found += statistics.turns.findings()
+        found += statistics.come_up.findings()
         found += statistics.consistency.findings()
     found += _of_blindness(statistics.blind)
     found += _of_warnings(log_warnings, {finding.kind for finding in found})
@@ -168,19 +169,19 @@ def _of_matches(statistics: RunStatistics, *, may_contradict: bool) -> list[Find
                 data={"n_lost": statistics.n_lost, "n_apart": n_apart},
             )
         )
-    if statistics.n_contradictions and may_contradict:
-        n_scans = statistics.health["contradiction"]
+    if statistics.contradictions and may_contradict:
+        n_times_begun, n_scans = len(statistics.contradictions), statistics.health["contradiction"]
         found.append(
             Finding(
                 kind="contradiction",
                 severity="warning",
                 cause=(
-                    f"odometry and laser contradict each other {n_times(statistics.n_contradictions)}, in {n_scans}"
-                    f" scans, first at scan {statistics.first_contradiction}: wheels slip, the odometry jumps, or"
+                    f"odometry and laser contradict each other {n_times(n_times_begun)}, in {n_scans}"
+                    f" scans, first at scan {statistics.contradictions[0]}: wheels slip, the odometry jumps, or"
                     " people walk along"
                 ),
                 remedy="look at these scans (health in summary.json); their poses are less certain",
-                data={"n_contradictions": statistics.n_contradictions, "n_scans": n_scans},
+                data={"n_contradictions": n_times_begun, "n_scans": n_scans},
             )
         )
     return found
