@@ -44,7 +44,7 @@ TURNING_RAD, MAX_TURN_RAD = 0.02, 1.0
 MIN_TURNING, MAX_TURNING, MAX_SCANS = 20, 160, 800
 """Turning scans needed, after as many of which it is looked at anew; looked at most; scans read at most."""
 
-MIN_SIGMA, SURE_SIGMA = 4.0, 6.0
+MIN_SIGMA, SURE_SIGMA = 3.5, 6.0
 """Standard deviations by which an assumption must agree more than what is told; by which no more scans are read."""
 
 TOLD_SO = "time_increment"

@@ -22,6 +22,12 @@ from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.registration import _company_kernels
 
+SUPPORT_M = 0.1
+"""So near to a point of the local map a return agrees with it, where two poses are compared."""
+
+LEAST_FAR_SHARE = 0.05
+"""Where more of the returns than this speak for a match by what was seen from elsewhere, the robot is there."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompanyConfig(Checked):
@@ -197,7 +203,7 @@ class CompanyCheck:
             local_map.first,
             local_map.owner,
             local_map.T_local_keyframes,
-            self.config.reach_m,
+            SUPPORT_M,
             T_matched[0],
             T_matched[1],
             self.config.parallax_m,
@@ -222,9 +228,11 @@ class Support(NamedTuple):
         """Whether what speaks for the match rides along with the robot.
 
         Most of it lies then near what keyframes close by saw, and most of what agrees with both poses, as the building
-        does, near what was seen from elsewhere.
+        does, near what was seen from elsewhere; and of that hardly more speaks for the match than for the prediction.
         """
-        return bool(self.gained[0] > self.gained[1] and self.both[1] > self.both[0])
+        if self.gained[0] <= self.gained[1] or self.both[1] <= self.both[0]:
+            return False
+        return bool(self.gained[1] - self.lost[1] <= LEAST_FAR_SHARE * self.n)
 
     @property
     def gained_share(self) -> float:

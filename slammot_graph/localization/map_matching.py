@@ -26,9 +26,6 @@ N_SEARCHED = 60
 MOST = 0.5
 """Fewer of the returns than most make no pose, however it leads."""
 
-REACH = 2.0
-"""A robot may have driven and turned so many times as far as it is told; `adrift_m` and `lost_std_rad` besides."""
-
 MEAN_NIS = 3.0
 """Of a match that is as far from its prediction as both err: its degrees of freedom."""
 
@@ -219,7 +216,8 @@ class MapMatching:
                 points_base, is_static, start, second[1], -1.0
             ):
                 return second, loosened
-        if matched[0].nis > UNLIKELY_NIS and self._recent.is_out_of_reach(start.T_local_base, matched[1]):
+        is_unlikely = matched[0].nis > UNLIKELY_NIS
+        if is_unlikely and not self._is_believed(points_base, is_static, start, matched[1], -1.0):
             return self._held(points_base, is_static, matched, start), start
         return matched, start
 
@@ -231,16 +229,18 @@ class MapMatching:
         T_matched: FloatArray,
         gain: float,
     ) -> bool:
-        """Tell whether a match (3,) is believed against the odometry: more than a share of the returns speaks for it.
+        """Tell whether a match (3,) is believed against the odometry: hardly any returns agree where that leads.
 
-        And that does not ride along, and a robot can have come there.
+        Or more than a share of them speaks for the match and does not ride along, and a robot can have come there.
         """
-        if self._company is None or not self._recent.has_odometry:
+        company, T_told = self._company, start.T_local_base
+        if company is None or not self._recent.has_odometry:
             return True
-        if self._recent.is_out_of_reach(start.T_local_base, T_matched):
-            return False
-        support = self._company.support(self.local_map, points_base, is_used, start.T_local_base, T_matched)
-        return not support.rides_along and support.gained_share > gain
+        is_out_of_reach = self._recent.is_out_of_reach(T_told, T_matched)
+        if self.agreement_at(points_base, is_used, T_told) < self.config.astray_share * self._usual_agreement:
+            return True
+        support = company.support(self.local_map, points_base, is_used, T_told, T_matched)
+        return not is_out_of_reach and not support.rides_along and support.gained_share > gain
 
     def _held(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
@@ -362,7 +362,7 @@ class MapMatching:
         if self.is_adrift:
             return math.inf, math.inf
         way_m, turn_rad = self._recent.farthest(start.T_local_base)
-        return self.config.adrift_m + REACH * way_m, self.config.lost_std_rad + REACH * turn_rad
+        return self.config.adrift_m + way_m, self.config.lost_std_rad + turn_rad
 
     def _leads(
         self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float

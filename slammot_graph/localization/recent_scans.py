@@ -10,6 +10,9 @@ from slammot_graph.core.types import FloatArray
 N_LEAPS, LEAP_M = 3, 0.1
 """So many scans in a row matched that far from their predictions, to within so much: the one before them was wrong."""
 
+REACH = 2.0
+"""A robot may have driven and turned so many times as far as it is told, or did lately."""
+
 
 class RecentScans:
     """The poses at the two scans before, what the odometry tells since, and matches that leapt away from it.
@@ -44,10 +47,10 @@ class RecentScans:
         return [self.T_local_before, se2.compose(self.T_local_before, last)]
 
     def farthest(self, T_predicted: FloatArray) -> tuple[float, float]:
-        """How far [m, rad] the robot has moved since the scan before, by the prediction (3,) or as lately."""
+        """How far [m, rad] the robot may have moved since the scan before, by the prediction (3,) or as lately."""
         told_m, told_rad = se2.distance(self.T_local_before, T_predicted)
         lately_m, lately_rad = se2.distance(self.T_local_earlier, self.T_local_before)
-        return max(told_m, lately_m), max(told_rad, lately_rad)
+        return REACH * max(told_m, lately_m), REACH * max(told_rad, lately_rad)
 
     def is_out_of_reach(self, T_predicted: FloatArray, T_matched: FloatArray) -> bool:
         """Tell whether a match (3,) lies where no robot can have come to, if the odometry is right.

@@ -220,9 +220,9 @@ def test_the_odometry_holds_against_an_unlikely_match_of_few_returns(
 
 def test_where_no_robot_can_have_come_to_is_believed_at_the_third_scan_that_says_so() -> None:
     """The scan before was matched wrongly then; what rides along leads on from scan to scan."""
-    wrong = se2.compose(STEP, np.array([0.3, 0.0, 0.0]))
+    wrong, never_astray = se2.compose(STEP, np.array([0.3, 0.0, 0.0])), ScanToMapConfig(astray_share=0.01)
     for shifts, is_believed in (((0.0, 0.0, 0.0), True), ((-0.3, 0.0, 0.0), False), ((0.0, 0.3, 0.0), False)):
-        matching = used_to_agreement(matching_at(np.zeros(3)))
+        matching = used_to_agreement(matching_at(np.zeros(3), never_astray))
         off = []
         for shift in shifts:
             matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=True, most_change_m=0.15)
@@ -233,8 +233,18 @@ def test_where_no_robot_can_have_come_to_is_believed_at_the_third_scan_that_says
         assert (off[2] < 5e-3) == is_believed
 
 
-def test_a_scan_without_a_leap_between_begins_anew() -> None:
+def test_where_hardly_any_returns_agree_the_odometry_is_not_believed() -> None:
+    """As of wheels that do not tell forward from backward."""
     matching = used_to_agreement(matching_at(np.zeros(3)))
+    for _ in range(3):
+        matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=True, most_change_m=0.15)
+        wrong = se2.compose(STEP, np.array([0.3, 0.2, 0.0]))
+        _, state = matching.match(POINTS, IS_VALID, certain_at(wrong))
+        assert max(errors(STEP, state.T_local_base)) < 5e-3
+
+
+def test_a_scan_without_a_leap_between_begins_anew() -> None:
+    matching = used_to_agreement(matching_at(np.zeros(3), ScanToMapConfig(astray_share=0.01)))
     wrong, off = se2.compose(STEP, np.array([0.3, 0.0, 0.0])), []
     for T in (wrong, wrong, STEP, wrong):
         matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=True, most_change_m=0.15)

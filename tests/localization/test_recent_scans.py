@@ -5,7 +5,7 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
-from slammot_graph.localization.recent_scans import LEAP_M, N_LEAPS, RecentScans, turned_starts
+from slammot_graph.localization.recent_scans import LEAP_M, N_LEAPS, REACH, RecentScans, turned_starts
 
 FIRST, SECOND = np.array([1.0, 2.0, 0.3]), np.array([1.2, 2.1, 0.4])
 
@@ -27,8 +27,8 @@ def test_it_starts_where_the_robot_was_and_where_its_motion_leads() -> None:
 def test_the_farthest_is_what_was_driven_lately_or_is_told(share: float) -> None:
     step = se2.between(FIRST, SECOND)
     way_m, turn_rad = after(FIRST, SECOND).farthest(se2.compose(SECOND, share * step))
-    assert way_m == pytest.approx(max(share, 1.0) * np.hypot(*step[:2]))
-    assert turn_rad == pytest.approx(max(share, 1.0) * 0.1)
+    assert way_m == pytest.approx(REACH * max(share, 1.0) * np.hypot(*step[:2]))
+    assert turn_rad == pytest.approx(REACH * max(share, 1.0) * 0.1)
 
 
 def leaps(*offsets_m: float) -> list[bool]:
