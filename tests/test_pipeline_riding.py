@@ -12,6 +12,12 @@ from slammot_graph.evaluation import absolute_error
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import SimulatedLog, simulate
 
+CORRIDORS = [
+    ("building", 90, 1900, 5),
+    ("building", 90, 1900, 9),
+    ("office", 90, 830, 9),
+    ("office", 91, 1160, 9),
+]
 N_BEFORE, N_RIDING, LASER_HEIGHT_M, PITCH_RAD = 300, 60, 0.3, 0.12
 
 
@@ -65,11 +71,19 @@ def test_what_rides_along_does_not_hold_the_robot_back(
     assert absolute_error(found, log.T_world_base[: len(found)]).translation_m.max < 0.35
 
 
-@pytest.mark.parametrize("first", [380, 670, 960])
-def test_a_robot_that_drives_over_a_ramp_goes_on_by_its_odometry(first: int) -> None:
-    """The floor comes up on free cells, nearer and nearer, until it is most of what a laser of a half circle sees."""
-    pitches = np.radians(9.0) * np.interp(np.arange(150), [60, 85, 105, 130], [0.0, 1.0, 1.0, 0.0])
-    log = simulate("hall", seed=73)
+@pytest.mark.parametrize(
+    ("world", "seed", "first", "degrees"),
+    [("hall", 73, 380, 9), ("hall", 73, 670, 9), ("hall", 73, 960, 9), *CORRIDORS],
+)
+def test_a_robot_that_drives_over_a_ramp_goes_on_by_its_odometry(
+    world: str, seed: int, first: int, degrees: float
+) -> None:
+    """The floor comes up on free cells, nearer and nearer, until it is most of what a laser of a half circle sees.
+
+    Down a corridor the floor alone would tell of the way, however few beams it is.
+    """
+    pitches = np.radians(degrees) * np.interp(np.arange(150), [60, 85, 105, 130], [0.0, 1.0, 1.0, 0.0])
+    log = simulate(world, seed=seed)
     rng, found = np.random.default_rng(0), list[FloatArray]()
     with Pipeline(PipelineConfig()) as pipeline:
         for k, (scan, pitch) in enumerate(zip(islice(log, first, None), pitches, strict=False)):
