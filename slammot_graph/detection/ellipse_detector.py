@@ -68,12 +68,12 @@ class RetestConfig(Checked):
         The kernel gets narrower down to this share of its scale.
     mapped_share : float
         Where more than this share of the valid beams ends on free cells, what is too wide for a person stays out of the
-        match, and out of the map as long as its cells are known to be free: walls do not come, and what covers the
-        laser, or the floor before a robot that tilts, rides along and would take the map with it. So does, where there
-        is odometry, what lies on free cells though too much of the scan seems to move, or the match failed. 1: never.
+        map as long as its cells are known to be free: walls do not come, and what covers the laser, or the floor before
+        a robot that tilts, rides along and would take the map with it. So does, where there is odometry, what lies on
+        free cells though too much of the scan seems to move, or the match failed. 1: never.
     off_wall_m : float
-        However few beams they are, the same holds of what is too wide for a person and has most of its points farther
-        from all occupied cells than this: a wall that an error of the pose puts onto free cells is nearer.
+        However few beams they are, what is too wide for a person stays out of match and map where most of its points
+        are farther than this from all occupied cells: a wall that an error of the pose puts onto free cells is nearer.
     """
 
     same_cells: Share = 0.2
