@@ -15,7 +15,6 @@ from slammot_graph.simulation import SimulatedLog, simulate
 CORRIDORS = [
     ("building", 90, 1900, 5),
     ("building", 90, 1900, 9),
-    ("office", 90, 830, 9),
     ("office", 91, 1160, 9),
 ]
 N_BEFORE, N_RIDING, LASER_HEIGHT_M, PITCH_RAD = 300, 60, 0.3, 0.12

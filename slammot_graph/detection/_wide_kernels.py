@@ -12,11 +12,15 @@ from slammot_graph.detection.reasons import (
     COME_UP,
     DISCARDED,
     FREE,
+    OCCUPIED,
     TOO_WIDE,
     TRACKED,
     UNKNOWN,
     VACATED,
 )
+
+LEAST_OCCUPIED = 0.1
+"""Share of the valid beams on occupied cells that tells that the robot is where it is thought to be."""
 
 
 @kernel
@@ -78,19 +82,23 @@ def mark_wide(
     To COME_UP where most of the group is farther than `off_wall` [m] from all occupied cells of the grid, to TOO_WIDE
     where those and what moves are more than `mapped_share` of the valid beams. Then beams on unknown cells become
     COME_UP where most of the group that they belong to is on free ones: close to a wall no cell is known to be free.
+    Where fewer than `LEAST_OCCUPIED` of the valid beams are on occupied cells, the pose may be wrong, and none has.
     """
     n = points.shape[0]
     is_member = np.empty(n, dtype=np.bool_)
-    n_valid = n_members = n_discarded = 0
+    n_valid = n_members = n_discarded = n_occupied = 0
     for k in range(n):
         is_member[k] = reason[k] in (DISCARDED, FREE, VACATED, TRACKED, ALONG)
         n_valid += is_valid[k]
         n_members += is_member[k]
         n_discarded += reason[k] == DISCARDED
+        n_occupied += reason[k] == OCCUPIED
     if n_members == 0:
         return
+    is_placed = n_occupied >= LEAST_OCCUPIED * n_valid
     if n_discarded == 0:
-        _go_on(points, max_gap, max_skipped_beams, reason)
+        if is_placed:
+            _go_on(points, max_gap, max_skipped_beams, reason)
         return
     is_much = n_members > mapped_share * n_valid
     labels = np.empty(n, dtype=np.int64)
@@ -102,7 +110,7 @@ def mark_wide(
         is_wide[c] = box[c, 1] - box[c, 0] > max_x_range or box[c, 3] - box[c, 2] > max_y_range
     surplus = np.zeros(n_clusters, dtype=np.int64)
     for k in range(n):
-        if labels[k] >= 0 and is_wide[labels[k]] and math.isfinite(off_wall):
+        if labels[k] >= 0 and is_wide[labels[k]] and is_placed and math.isfinite(off_wall):
             stands_off = _stands_off(
                 log_odds,
                 stamp,
@@ -123,7 +131,8 @@ def mark_wide(
                 reason[k] = COME_UP
             elif is_much:
                 reason[k] = TOO_WIDE
-    _go_on(points, max_gap, max_skipped_beams, reason)
+    if is_placed:
+        _go_on(points, max_gap, max_skipped_beams, reason)
 
 
 @kernel

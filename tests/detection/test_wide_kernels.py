@@ -35,6 +35,9 @@ def plain_wide(
     """Reasons where discarded beams of groups that are too wide are told apart."""
     is_member = np.isin(reason, (DISCARDED, FREE, VACATED, TRACKED, ALONG))
     out = reason.copy()
+    is_placed = np.count_nonzero(reason == OCCUPIED) >= _wide_kernels.LEAST_OCCUPIED * np.count_nonzero(
+        is_valid
+    )
     is_much = np.count_nonzero(is_member) > mapped_share * np.count_nonzero(is_valid)
     walls = np.argwhere(grid > L_OCCUPIED)[:, ::-1]
     cells = np.floor(points / RESOLUTION_M)
@@ -46,11 +49,11 @@ def plain_wide(
         beams = np.flatnonzero(labels == c)
         if (np.ptp(points[beams], axis=0) > [config.max_x_range_m, config.max_y_range_m]).any():
             discarded = beams[reason[beams] == DISCARDED]
-            if np.isfinite(off_wall_m) and 2 * np.count_nonzero(stands_off[beams]) > len(beams):
+            if is_placed and np.isfinite(off_wall_m) and 2 * np.count_nonzero(stands_off[beams]) > len(beams):
                 out[discarded] = COME_UP
             elif is_much:
                 out[discarded] = TOO_WIDE
-    if not is_member.any():
+    if not (is_member.any() and is_placed):
         return out
     goes_on = np.isin(out, (UNKNOWN, COME_UP, TOO_WIDE, FREE, VACATED, TRACKED, ALONG))
     before = out.copy()
@@ -74,7 +77,11 @@ def test_what_is_too_wide_is_told_apart_as_its_twin_does(
     side = 1 << int(np.ceil(np.log2(points.max() / RESOLUTION_M + 2.0)))
     grid = np.where(rng.random((side, side)) < rng.choice([0.0, 0.02, 0.2]), 1.0, -1.0)
     codes = (OCCUPIED, UNKNOWN, FREE, VACATED, DISCARDED)
-    reason = np.where(is_valid, rng.choice(codes, 50, p=[0.2, 0.1, 0.2, 0.1, 0.4]), NOT_VALID)
+    reason = np.where(
+        is_valid,
+        rng.choice(codes, 50, p=rng.choice([[0.2, 0.1, 0.2, 0.1, 0.4], [0.05, 0.25, 0.2, 0.1, 0.4]])),
+        NOT_VALID,
+    )
     config, share = random_limits(rng), float(rng.choice([0.2, 0.75]))
     expected = plain_wide(grid, points, is_valid, share, off_wall_m, reason, config)
     _wide_kernels.mark_wide(

@@ -85,7 +85,7 @@ def test_the_graph_is_there_before_and_after_a_closure(ring: Ring) -> None:
         path = np.diff(old[-2:], axis=0)  # the closing node has not jumped yet
         np.testing.assert_allclose(path, np.diff(new[-2:], axis=0), atol=0.02)
     first = min(after)
-    assert np.hypot(*(after[first][0] - before[first][0]).T).max() > 0.05
+    assert np.hypot(*(after[first][0] - before[first][0]).T).max() > 0.03
 
 
 def test_closures_of_the_graph_follow_its_nodes(ring: Ring) -> None:
