@@ -25,8 +25,9 @@ from slammot_graph.registration import _company_kernels
 SUPPORT_M = 0.1
 """So near to a point of the local map a return agrees with it, where two poses are compared."""
 
-LEAST_FAR_SHARE = 0.05
-"""Where more of the returns than this speak for a match by what was seen from elsewhere, the robot is there."""
+FAR_SHARE, PROOF_SHARE = 0.05, 0.2
+"""Shares of the returns. Where more than the first speak for a match by what was seen from elsewhere, it is not what
+rides along that does; where more than the second, the robot is there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,15 +225,24 @@ class Support(NamedTuple):
     n: int
 
     @property
+    def far_share(self) -> float:
+        """Of the points, those near what was seen from elsewhere at the match, less those so at the prediction."""
+        return float(self.gained[1] - self.lost[1]) / max(self.n, 1)
+
+    @property
+    def is_proof(self) -> bool:
+        """Whether so much speaks for the match that cannot ride along that the odometry is wrong."""
+        return self.far_share > PROOF_SHARE
+
+    @property
     def rides_along(self) -> bool:
         """Whether what speaks for the match rides along with the robot.
 
         Most of it lies then near what keyframes close by saw, and most of what agrees with both poses, as the building
         does, near what was seen from elsewhere; and of that hardly more speaks for the match than for the prediction.
         """
-        if self.gained[0] <= self.gained[1] or self.both[1] <= self.both[0]:
-            return False
-        return bool(self.gained[1] - self.lost[1] <= LEAST_FAR_SHARE * self.n)
+        is_near = self.gained[0] > self.gained[1] and self.both[1] > self.both[0]
+        return bool(is_near and self.far_share <= FAR_SHARE)
 
     @property
     def gained_share(self) -> float:

@@ -213,11 +213,10 @@ class MapMatching:
             second = self._match_from(points_base, is_static, loosened)
             needed = min(self.config.min_agreement, self.agreement(matched[0]) + self.config.tail_gain)
             if self.agreement(second[0]) >= needed and self._is_believed(
-                points_base, is_static, start, second[1], -1.0
+                points_base, is_static, start, second[1]
             ):
                 return second, loosened
-        is_unlikely = matched[0].nis > UNLIKELY_NIS
-        if is_unlikely and not self._is_believed(points_base, is_static, start, matched[1], -1.0):
+        if matched[0].nis > UNLIKELY_NIS and not self._is_believed(points_base, is_static, start, matched[1]):
             return self._held(points_base, is_static, matched, start), start
         return matched, start
 
@@ -227,20 +226,21 @@ class MapMatching:
         is_used: BoolArray,
         start: MotionState,
         T_matched: FloatArray,
-        gain: float,
+        gain: float = -1.0,
     ) -> bool:
-        """Tell whether a match (3,) is believed against the odometry: hardly any returns agree where that leads.
+        """Tell whether a match (3,) is believed against the odometry.
 
-        Or more than a share of them speaks for the match and does not ride along, and a robot can have come there.
+        More than a share of the returns speak for it, which is in reach, and do not ride along; or few for the other.
         """
-        company, T_told = self._company, start.T_local_base
-        if company is None or not self._recent.has_odometry:
+        T_told = start.T_local_base
+        if self._company is None or not self._recent.has_odometry:
             return True
-        is_out_of_reach = self._recent.is_out_of_reach(T_told, T_matched)
-        if self.agreement_at(points_base, is_used, T_told) < self.config.astray_share * self._usual_agreement:
+        support = self._company.support(self.local_map, points_base, is_used, T_told, T_matched)
+        is_reached = not self._recent.is_out_of_reach(T_told, T_matched)
+        if support.is_proof or (is_reached and not support.rides_along and support.gained_share > gain):
             return True
-        support = company.support(self.local_map, points_base, is_used, T_told, T_matched)
-        return not is_out_of_reach and not support.rides_along and support.gained_share > gain
+        least = self.config.astray_share * self._usual_agreement
+        return self.agreement_at(points_base, is_used, T_told) < least
 
     def _held(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
