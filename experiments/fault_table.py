@@ -110,8 +110,13 @@ ROWS = (
     ),
     Row(
         fault="half of the beams covered; the floor seen from a ramp",
-        outcome="kept out of the map",
-        test="tests/test_pipeline_riding.py tests/detection/test_wide_kernels.py",
+        outcome="kept out of match and map, told",
+        test="tests/test_pipeline_riding.py tests/detection/test_wide_kernels.py tests/diagnosis/test_come_up.py",
+    ),
+    Row(
+        fault="a match that leaps away from odometry that goes on as before",
+        outcome="held, until what was seen from elsewhere proves it or three scans say the same",
+        test="tests/localization/test_recent_scans.py tests/localization/test_map_matching.py -k believed or anew",
     ),
     Row(
         fault="an observer of one's own fails",
