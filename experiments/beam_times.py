@@ -9,8 +9,10 @@ import numpy as np
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, number, write_tables
 from slammot_graph import Run, open_log
+from slammot_graph.core.results import RunResult
+from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import absolute_error
-from slammot_graph.evaluation.consistency import errors_to_anchor, nees
+from slammot_graph.evaluation.consistency import errors_to_anchor, nees_and_coverage
 from slammot_graph.logs.arrays import write_npz_log
 from slammot_graph.simulation import simulate
 
@@ -40,9 +42,7 @@ def cell(log: str, seed: int, told: str, use: str, n_scans: int, bag: str | None
         truth = np.array([scan.T_odom_base for scan in reader])
         run = Run(reader if use == USES[1] else list(reader), "graph")
         result = run.complete()
-        return _scores(result.T_map_base, truth) | {
-            "n_told": sum(f.kind == "beam times" for f in result.verdict)
-        }
+        return _scores(result, truth)
     simulated = simulate(log, seed=seed, laser="lowcost360", sweep=1.0)
     arrays = simulated.arrays()
     share, order = TOLD[told]
@@ -57,16 +57,17 @@ def cell(log: str, seed: int, told: str, use: str, n_scans: int, bag: str | None
         result = Run(reader if use == USES[1] else list(reader), "graph", max_scans=n_scans).complete()
     truth = simulated.T_world_base[: len(result.T_map_base)]
     errors, is_matched = errors_to_anchor(result, truth)
-    values = nees(errors, result.cov_anchor_base[is_matched])
-    return _scores(result.T_map_base, truth) | {
-        "nees": float(np.mean(values[np.isfinite(values)])),
+    mean_nees, _ = nees_and_coverage(errors, result.cov_anchor_base[is_matched])
+    return _scores(result, truth) | {"nees": mean_nees}
+
+
+def _scores(result: RunResult, truth: FloatArray) -> Scores:
+    error = absolute_error(result.T_map_base, truth)
+    return {
+        "ate_m": error.translation_m.rmse,
+        "rotation_deg": error.rotation_deg.rmse,
         "n_told": sum(finding.kind == "beam times" for finding in result.verdict),
     }
-
-
-def _scores(T_map_base: np.ndarray, truth: np.ndarray) -> Scores:
-    error = absolute_error(T_map_base, truth)
-    return {"ate_m": error.translation_m.rmse, "rotation_deg": error.rotation_deg.rmse}
 
 
 def key(log: str, seed: int, told: str, use: str) -> str:
@@ -113,8 +114,8 @@ def experiment(options: Options) -> None:
             row = [world, told]
             for use in USES:
                 runs = [scores[key(world, seed, told, use)] for seed in seeds]
-                row += [", ".join(number(run[name], 4) for run in runs) for name in ("ate_m",)]
-                row += [", ".join(number(run["nees"], 1) for run in runs)]
+                row.append(", ".join(number(run["ate_m"], 4) for run in runs))
+                row.append(", ".join(number(run["nees"], 1) for run in runs))
             row.append(f"{sum(scores[key(world, seed, told, USES[1])]['n_told'] > 0 for seed in seeds)}")
             rows.append(row)
     columns = [

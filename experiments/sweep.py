@@ -9,9 +9,8 @@ from experiments import measures
 from experiments.common import Options, Scores, main, run_cells
 from experiments.tables import Table, median_interval, number, write_tables
 from slammot_graph.core.results import RunResult
-from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import absolute_error
-from slammot_graph.evaluation.consistency import average_nees, errors_to_anchor, nees
+from slammot_graph.evaluation.consistency import average_nees, errors_to_anchor, nees_and_coverage
 from slammot_graph.simulation import Scenario, SimulatedLog, simulate
 from slammot_graph.simulation.scenarios import scenario_named, turning
 
@@ -55,8 +54,7 @@ def cell(world: str, rate_hz: float, turn_rad_s: float, seed: int, run: str) -> 
 
 def _nees(result: RunResult, log: SimulatedLog) -> float:
     errors, is_matched = errors_to_anchor(result, log.T_world_base)
-    values: FloatArray = nees(errors, result.cov_anchor_base[is_matched])
-    return float(np.mean(values[np.isfinite(values)]))
+    return nees_and_coverage(errors, result.cov_anchor_base[is_matched])[0]
 
 
 def key(world: str, rate_hz: float, turn_rad_s: float, seed: int, run: str) -> str:

@@ -102,6 +102,28 @@ def _touches(dx: float, dy: float, size: float, p: float, q: float, r: float, li
 
 
 @kernel
+def log_odds_at(
+    log_odds: "np.ndarray",
+    stamp: "np.ndarray",
+    row0: int,
+    col0: int,
+    oldest: int,
+    is_fixed: bool,
+    i: int,
+    j: int,
+) -> float:
+    """Log-odds of a cell by its row and column; 0 where never seen, expired, or outside of a grid that is fixed."""
+    rows, cols = log_odds.shape
+    i_s = i - row0
+    j_s = j - col0
+    if is_fixed and (i_s < 0 or i_s >= rows or j_s < 0 or j_s >= cols):
+        return 0.0
+    i_s &= rows - 1
+    j_s &= cols - 1
+    return log_odds[i_s, j_s] if stamp[i_s, j_s] >= oldest else 0.0
+
+
+@kernel
 def ellipse_test(
     log_odds: "np.ndarray",
     stamp: "np.ndarray",
@@ -125,7 +147,6 @@ def ellipse_test(
     `cov` is (n, 3): xx, xy, yy. The first cell that is not free decides; an ellipse that spans more than
     `max_cells` cells is TOO_UNCERTAIN. With a margin, the cells around the end point's own count too.
     """
-    rows, cols = log_odds.shape
     inv_resolution = 1.0 / resolution
     for k in range(points.shape[0]):
         if not is_valid[k]:
@@ -154,14 +175,7 @@ def ellipse_test(
             else:
                 i = i_lo + m // (j_hi - j_lo + 1)
                 j = j_lo + m % (j_hi - j_lo + 1)
-            i_s = i - row0
-            j_s = j - col0
-            if is_fixed and (i_s < 0 or i_s >= rows or j_s < 0 or j_s >= cols):
-                value = 0.0
-            else:
-                i_s &= rows - 1
-                j_s &= cols - 1
-                value = log_odds[i_s, j_s] if stamp[i_s, j_s] >= oldest else 0.0
+            value = log_odds_at(log_odds, stamp, row0, col0, oldest, is_fixed, i, j)
             if value < l_free:
                 if m < 0 and (i_hi - i_lo + 1) * (j_hi - j_lo + 1) > max_cells:
                     verdict = TOO_UNCERTAIN

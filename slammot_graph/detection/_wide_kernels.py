@@ -7,6 +7,7 @@ import numpy as np
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
 from slammot_graph.detection._cluster_kernels import cluster_beams, cluster_boxes
+from slammot_graph.detection._kernels import log_odds_at
 from slammot_graph.detection.reasons import (
     ALONG,
     COME_UP,
@@ -38,21 +39,13 @@ def _stands_off(
     reach: float,
 ) -> bool:
     """Tell whether no occupied cell is within `reach` [m], in whole cells, of the cell of a point (x, y)."""
-    rows, cols = log_odds.shape
     i_c = math.floor(y / resolution)
     j_c = math.floor(x / resolution)
     n = round(reach / resolution)
     for i in range(i_c - n, i_c + n + 1):
         for j in range(j_c - n, j_c + n + 1):
-            i_s = i - row0
-            j_s = j - col0
-            if (i - i_c) ** 2 + (j - j_c) ** 2 > n * n:
-                continue
-            if is_fixed and (i_s < 0 or i_s >= rows or j_s < 0 or j_s >= cols):
-                continue
-            i_s &= rows - 1
-            j_s &= cols - 1
-            if stamp[i_s, j_s] >= oldest and log_odds[i_s, j_s] > l_occupied:
+            is_near = (i - i_c) ** 2 + (j - j_c) ** 2 <= n * n
+            if is_near and log_odds_at(log_odds, stamp, row0, col0, oldest, is_fixed, i, j) > l_occupied:
                 return False
     return True
 
@@ -96,43 +89,57 @@ def mark_wide(
     if n_members == 0:
         return
     is_placed = n_occupied >= LEAST_OCCUPIED * n_valid
-    if n_discarded == 0:
-        if is_placed:
-            _go_on(points, max_gap, max_skipped_beams, reason)
-        return
     is_much = n_members > mapped_share * n_valid
-    labels = np.empty(n, dtype=np.int64)
+    if n_discarded > 0:
+        labels = np.empty(n, dtype=np.int64)
+        is_wide = _wide_groups(
+            points, is_member, max_gap, max_skipped_beams, max_x_range, max_y_range, labels
+        )
+        surplus = np.zeros(is_wide.shape[0], dtype=np.int64)
+        for k in range(n):
+            if is_placed and math.isfinite(off_wall) and labels[k] >= 0 and is_wide[labels[k]]:
+                stands_off = _stands_off(
+                    log_odds,
+                    stamp,
+                    row0,
+                    col0,
+                    resolution,
+                    oldest,
+                    is_fixed,
+                    l_occupied,
+                    points[k, 0],
+                    points[k, 1],
+                    off_wall,
+                )
+                surplus[labels[k]] += 1 if stands_off else -1
+        for k in range(n):
+            if reason[k] == DISCARDED and labels[k] >= 0 and is_wide[labels[k]]:
+                if surplus[labels[k]] > 0:
+                    reason[k] = COME_UP
+                elif is_much:
+                    reason[k] = TOO_WIDE
+    if is_placed:
+        _go_on(points, max_gap, max_skipped_beams, reason)
+
+
+@kernel
+def _wide_groups(
+    points: FloatArray,
+    is_member: BoolArray,
+    max_gap: float,
+    max_skipped_beams: int,
+    max_x_range: float,
+    max_y_range: float,
+    labels: IntArray,
+) -> BoolArray:
+    """Number in `labels` (n,) the groups of the members, -1 for others; gives which are too wide for a person."""
     n_clusters = cluster_beams(points, is_member, max_gap, max_skipped_beams, labels)
     box = np.empty((n_clusters, 4))
     cluster_boxes(points, labels, box)
     is_wide = np.empty(n_clusters, dtype=np.bool_)
     for c in range(n_clusters):
         is_wide[c] = box[c, 1] - box[c, 0] > max_x_range or box[c, 3] - box[c, 2] > max_y_range
-    surplus = np.zeros(n_clusters, dtype=np.int64)
-    for k in range(n):
-        if labels[k] >= 0 and is_wide[labels[k]] and is_placed and math.isfinite(off_wall):
-            stands_off = _stands_off(
-                log_odds,
-                stamp,
-                row0,
-                col0,
-                resolution,
-                oldest,
-                is_fixed,
-                l_occupied,
-                points[k, 0],
-                points[k, 1],
-                off_wall,
-            )
-            surplus[labels[k]] += 1 if stands_off else -1
-    for k in range(n):
-        if reason[k] == DISCARDED and labels[k] >= 0 and is_wide[labels[k]]:
-            if surplus[labels[k]] > 0:
-                reason[k] = COME_UP
-            elif is_much:
-                reason[k] = TOO_WIDE
-    if is_placed:
-        _go_on(points, max_gap, max_skipped_beams, reason)
+    return is_wide
 
 
 @kernel

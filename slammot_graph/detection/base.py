@@ -43,9 +43,8 @@ class Detection(NamedTuple):
         return is_mapped
 
     def is_matched(self, is_valid: BoolArray) -> BoolArray:
-        """(n,) returns that are matched onto the map: static, and not on what has come up and may ride along."""
-        is_matched: BoolArray = is_valid & ~self.is_moving & (self.reason != reasons.COME_UP)
-        return is_matched
+        """(n,) returns that are matched onto the map, see `matched_returns`."""
+        return matched_returns(is_valid, self.is_moving, self.reason)
 
     def clusters(self, points: FloatArray) -> tuple[FloatArray, FloatArray, list[IntArray], BoolArray]:
         """Give what a tracker needs of the k clusters, with the scan's points (n, 2) in the frame of the pose.
@@ -89,6 +88,11 @@ class Detection(NamedTuple):
             cluster=np.full_like(self.cluster, -1),
             n_clusters=0,
         )
+
+
+def matched_returns(is_valid: BoolArray, is_moving: BoolArray, reason: IntArray) -> BoolArray:
+    """(n,) returns that are matched onto the map: static, and not on what has come up and may ride along."""
+    return np.asarray(is_valid & ~is_moving & (reason != reasons.COME_UP))
 
 
 NO_CLUSTERS: tuple[FloatArray, FloatArray, list[IntArray], BoolArray] = (

@@ -175,13 +175,7 @@ def detect_moving(
     )
     if mapped_share < 1.0:
         _wide_kernels.mark_wide(
-            grid.log_odds,
-            grid.stamp,
-            grid.row0,
-            grid.col0,
-            grid.config.resolution_m,
-            grid.oldest,
-            not grid.is_rolling,
+            *grid.cells,
             grid.l_occupied,
             points,
             is_valid,
@@ -213,13 +207,7 @@ def _test(
     n = len(is_valid)
     points, packed, reason = np.empty((n, 2)), np.empty((n, 3)), np.empty(n, dtype=np.int64)
     _kernels.test_beams(
-        grid.log_odds,
-        grid.stamp,
-        grid.row0,
-        grid.col0,
-        grid.config.resolution_m,
-        grid.oldest,
-        not grid.is_rolling,
+        *grid.cells,
         grid.l_free,
         grid.l_occupied,
         scan.points_base(),

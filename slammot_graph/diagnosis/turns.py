@@ -8,7 +8,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.findings import Finding
 from slammot_graph.core.results import StepResult
 from slammot_graph.core.types import FloatArray
-from slammot_graph.detection.reasons import COME_UP
+from slammot_graph.detection.base import matched_returns
 
 TURNING_RAD, STRAIGHT_RAD = 0.1, 0.02
 """From scan to scan: a sweep over the first bends a wall 5 m away by 0.5 m at its end, over the second by 0.1 m."""
@@ -26,8 +26,7 @@ def agreement_of(step: StepResult) -> float:
     if step.match is None or step.match.status == "failed":
         return 0.0
     n_valid = int(np.count_nonzero(step.is_valid))
-    is_matched = step.is_valid & ~step.is_moving & (step.reason != COME_UP)
-    share = np.count_nonzero(is_matched) / max(n_valid, 1)
+    share = np.count_nonzero(matched_returns(step.is_valid, step.is_moving, step.reason)) / max(n_valid, 1)
     return float(share * step.match.inlier_ratio)
 
 

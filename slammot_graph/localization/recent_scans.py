@@ -56,6 +56,7 @@ class RecentScans:
         """Tell whether a match (3,) lies where no robot can have come to, if the odometry is right.
 
         If it is the scan before that was matched wrongly, the next ones are matched as far away: then it is believed.
+        What is out of reach is remembered for that.
         """
         offset = se2.between(T_predicted, T_matched)
         if not np.hypot(offset[0], offset[1]) > self.most_change_m:

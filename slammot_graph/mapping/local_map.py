@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive
@@ -232,6 +233,13 @@ class LocalMap:
     def current_points(self) -> FloatArray:
         """(n, 2) points of the local map in the local frame [m]."""
         return self.points[np.arange(self.first, self.end) % self.CAPACITY]
+
+    @property
+    def owned_points(
+        self,
+    ) -> tuple[FloatArray, npt.NDArray[np.int32], float, int, npt.NDArray[np.int32], FloatArray]:
+        """The points, where they lie, and which keyframe saw each from where, as the kernels take them."""
+        return self.points, self.nearest, self.inv_cell, self.first, self.owner, self.T_local_keyframes
 
     def _insert(self, keyframe: Keyframe, cov_anchor: FloatArray | None = None) -> None:
         T, begin = keyframe.T_local_base, self.end

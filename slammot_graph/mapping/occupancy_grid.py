@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from slammot_graph.core import se2
 from slammot_graph.core.checks import Checked, Count, Positive, PositiveShare
@@ -133,6 +134,21 @@ class OccupancyGrid:
         self.l_soft = _logit(config.p_soft_hit)
         self.l_min, self.l_max = _logit(config.p_min), _logit(config.p_max)
         self.l_free, self.l_occupied = _logit(config.p_free), _logit(config.p_occupied)
+
+    @property
+    def cells(
+        self,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32], int, int, float, int, bool]:
+        """The cells and where they lie, as the kernels of the moving-point test take them."""
+        return (
+            self.log_odds,
+            self.stamp,
+            self.row0,
+            self.col0,
+            self.config.resolution_m,
+            self.oldest,
+            not self.is_rolling,
+        )
 
     def add_scan(
         self,

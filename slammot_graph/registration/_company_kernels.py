@@ -50,6 +50,12 @@ def small_things(
 
 
 @kernel
+def _is_seen_from_elsewhere(T_keyframe: FloatArray, x: float, y: float, parallax: float) -> bool:
+    """Tell whether a keyframe at a pose (3,) is farther than `parallax` [m] from the robot (x, y)."""
+    return math.hypot(T_keyframe[0] - x, T_keyframe[1] - y) > parallax
+
+
+@kernel
 def may_walk_along(
     thing: IntArray,
     n_things: int,
@@ -82,8 +88,7 @@ def may_walk_along(
         m = partner(points[k, 0], points[k, 1], map_points, nearest, inv_cell, first, reach * reach)
         if m < 0:
             continue
-        seen_from = T_keyframes[owner[m]]
-        n_known[t] += math.hypot(seen_from[0] - x, seen_from[1] - y) > parallax
+        n_known[t] += _is_seen_from_elsewhere(T_keyframes[owner[m]], x, y, parallax)
     n_marked = 0
     for k in range(points.shape[0]):
         t = thing[k]
@@ -166,11 +171,11 @@ def count_supported(
         )
         if m < 0 and before < 0:
             continue
-        row = 2
         if before < 0:
             row = 0
         elif m < 0:
             row = 1
-        seen_from = T_keyframes[owner[before if m < 0 else m]]
-        is_far = math.hypot(seen_from[0] - x, seen_from[1] - y) > parallax
-        out[row, 1 if is_far else 0] += 1
+        else:
+            row = 2
+        T_keyframe = T_keyframes[owner[before if m < 0 else m]]
+        out[row, 1 if _is_seen_from_elsewhere(T_keyframe, x, y, parallax) else 0] += 1

@@ -157,9 +157,9 @@ def test_what_comes_up_before_the_robot_speaks_for_no_leap() -> None:
     for k, x_m in enumerate((-1.0, 0.0)):
         T = np.array([x_m, 0.0, 0.0])
         scan = take_scan(T, walls=CORRIDOR)
-        points, is_used = (scan.points_base(), scan.is_valid()) if k == 0 else floor_before(T)
-        if k:
-            is_used = np.ones_like(is_used)
+        points, is_used = scan.points_base(), scan.is_valid()
+        if k == 1:
+            points, is_used = floor_before(T)[0], np.ones_like(is_used)
         local_map.add(make_keyframe(k, T, points, is_used, LASER, local_map.config))
     check, predicted, held = CompanyCheck(CompanyConfig()), np.array([0.4, 0.0, 0.0]), np.zeros(3)
     points, is_floor = floor_before(predicted)
@@ -185,12 +185,7 @@ def test_what_only_one_pose_explains_is_counted_as_its_twin_does(rng: np.random.
         at,
         before,
         is_used,
-        local_map.points,
-        local_map.nearest,
-        local_map.inv_cell,
-        local_map.first,
-        local_map.owner,
-        local_map.T_local_keyframes,
+        *local_map.owned_points,
         0.1,
         T[0],
         T[1],
