@@ -3,10 +3,13 @@
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from slammot_graph import Run, open_log
+from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
 from slammot_graph.evaluation import absolute_error
 from slammot_graph.pipeline import Pipeline, PipelineConfig
@@ -97,3 +100,17 @@ def test_the_floor_is_not_taken_for_the_wall_behind_it() -> None:
     """It looks like that wall, two metres nearer: no robot drives so far within a scan."""
     found = driven(simulate("hall", seed=73), ramp)
     assert np.linalg.norm(np.diff(found[:, :2], axis=0), axis=1).max() < 0.5
+
+
+@pytest.mark.real
+def test_a_wall_that_comes_into_sight_is_no_floor(recorded_data: Path) -> None:
+    """Down a corridor, its far end on cells that beams have passed; kept out of map and match it grew scan by scan."""
+    log = open_log(recorded_data / "bags" / "general_tracking_moving_1.bag")
+    scans = list(islice(log, 400, 620))
+    run = Run(scans, "graph")
+    assert all(step.health != "contradiction" for step in run)
+    found, told = run.result().T_map_base, [scan.T_odom_base for scan in scans]
+    assert told[0] is not None
+    assert told[-1] is not None
+    found_way, told_way = se2.between(found[0], found[-1]), se2.between(told[0], told[-1])
+    assert np.hypot(*(found_way - told_way)[:2]) < 2.0  # of 32 m; it was 10.8 m

@@ -23,6 +23,9 @@ from slammot_graph.detection.reasons import (
 LEAST_OCCUPIED = 0.1
 """Share of the valid beams on occupied cells that tells that the robot is where it is thought to be."""
 
+WALL_M, LEAST_WALL_M, OFF_LINE_M = 1.5, 1.0, 0.1
+"""A wall goes on straight: the line through its last `WALL_M`, at least `LEAST_WALL_M`, and how far off it [m]."""
+
 
 @kernel
 def _stands_off(
@@ -72,10 +75,11 @@ def mark_wide(
 ) -> None:
     """Change the `reason` (n,) of beams from DISCARDED where, with what moves beside, they are too wide for a person.
 
-    To COME_UP where most of the group is farther than `off_wall` [m] from all occupied cells of the grid, to TOO_WIDE
-    where those and what moves are more than `mapped_share` of the valid beams. Then beams on unknown cells become
-    COME_UP where most of the group that they belong to is on free ones: close to a wall no cell is known to be free.
-    Where fewer than `LEAST_OCCUPIED` of the valid beams are on occupied cells, the pose may be wrong, and none has.
+    To COME_UP where most of the group is farther than `off_wall` [m] from all occupied cells of the grid and not in
+    line with a wall beside it, to TOO_WIDE where those and what moves are more than `mapped_share` of the valid beams.
+    Then beams on unknown cells become COME_UP where most of the group that they belong to is on free ones: close to a
+    wall no cell is known to be free. Where fewer than `LEAST_OCCUPIED` of the valid beams are on occupied cells, the
+    pose may be wrong, and none has.
     """
     n = points.shape[0]
     is_member = np.empty(n, dtype=np.bool_)
@@ -112,6 +116,7 @@ def mark_wide(
                     off_wall,
                 )
                 surplus[labels[k]] += 1 if stands_off else -1
+        _drop_walls(points, labels, max_gap, max_skipped_beams, reason, surplus)
         for k in range(n):
             if reason[k] == DISCARDED and labels[k] >= 0 and is_wide[labels[k]]:
                 if surplus[labels[k]] > 0:
@@ -143,8 +148,90 @@ def _wide_groups(
 
 
 @kernel
+def _drop_walls(
+    points: FloatArray,
+    labels: IntArray,
+    max_gap: float,
+    max_skipped_beams: int,
+    reason: IntArray,
+    surplus: IntArray,
+) -> None:
+    """Set the `surplus` of the groups in `labels` (n,) to 0 that are in line with a wall from which they go on.
+
+    Cells along a wall are free where beams pass it at a grazing angle before any hits it, or where it is of glass.
+    """
+    n = points.shape[0]
+    is_joined = np.empty(n, dtype=np.bool_)
+    for k in range(n):
+        is_joined[k] = labels[k] >= 0 or reason[k] in (OCCUPIED, UNKNOWN)
+    joined = np.empty(n, dtype=np.int64)
+    cluster_beams(points, is_joined, max_gap, max_skipped_beams, joined)
+    for c in range(surplus.shape[0]):
+        if surplus[c] <= 0:
+            continue
+        first = last = -1
+        for k in range(n):
+            if labels[k] == c:
+                first = k if first < 0 else first
+                last = k
+        for step in (-1, 1):
+            k = first if step < 0 else last
+            while 0 <= k < n and (joined[k] != joined[first] or reason[k] != OCCUPIED):
+                k += step
+            if 0 <= k < n and _is_in_line(points, labels, c, reason, joined, k, step):
+                surplus[c] = 0
+
+
+@kernel
+def _is_in_line(
+    points: FloatArray,
+    labels: IntArray,
+    c: int,
+    reason: IntArray,
+    joined: IntArray,
+    begin: int,
+    step: int,
+) -> bool:
+    """Tell whether most of group `c` lies on the line through the wall that begins at a beam, seen in steps."""
+    n = sx = sy = sxx = sxy = syy = reach = 0.0
+    k = begin
+    while 0 <= k < points.shape[0]:
+        if reason[k] == OCCUPIED and joined[k] == joined[begin]:
+            x = points[k, 0] - points[begin, 0]
+            y = points[k, 1] - points[begin, 1]
+            if x * x + y * y > WALL_M * WALL_M:
+                break
+            reach = max(reach, x * x + y * y)
+            n += 1.0
+            sx += x
+            sy += y
+            sxx += x * x
+            sxy += x * y
+            syy += y * y
+        k += step
+    if reach < LEAST_WALL_M * LEAST_WALL_M:
+        return False
+    sx /= n
+    sy /= n
+    angle = 0.5 * math.atan2(2.0 * (sxy / n - sx * sy), sxx / n - sx * sx - (syy / n - sy * sy))
+    n_on = n_off = 0
+    for k in range(points.shape[0]):
+        if labels[k] == c:
+            x = points[k, 0] - points[begin, 0] - sx
+            y = points[k, 1] - points[begin, 1] - sy
+            if abs(y * math.cos(angle) - x * math.sin(angle)) <= OFF_LINE_M:
+                n_on += 1
+            else:
+                n_off += 1
+    return n_on > n_off
+
+
+@kernel
 def _go_on(points: FloatArray, max_gap: float, max_skipped_beams: int, reason: IntArray) -> None:
-    """Call beams on unknown cells COME_UP where most of the group that they belong to is on free ones."""
+    """Call beams on unknown cells COME_UP where most of the group that they belong to is on free ones.
+
+    Not where the group is in line with a wall beside it: walls come into sight bit by bit.
+    """
     n = points.shape[0]
     is_member = np.empty(n, dtype=np.bool_)
     for k in range(n):
@@ -155,6 +242,7 @@ def _go_on(points: FloatArray, max_gap: float, max_skipped_beams: int, reason: I
     for k in range(n):
         if labels[k] >= 0:
             surplus[labels[k]] += -1 if reason[k] == UNKNOWN else 1
+    _drop_walls(points, labels, max_gap, max_skipped_beams, reason, surplus)
     for k in range(n):
         if labels[k] >= 0 and reason[k] == UNKNOWN and surplus[labels[k]] > 0:
             reason[k] = COME_UP

@@ -74,6 +74,7 @@ class RetestConfig(Checked):
     off_wall_m : float
         However few beams they are, what is too wide for a person stays out of match and map where most of its points
         are farther than this from all occupied cells: a wall that an error of the pose puts onto free cells is nearer.
+        Not where it goes on straight from a metre of wall.
     """
 
     same_cells: Share = 0.2

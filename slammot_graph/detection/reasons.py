@@ -20,8 +20,8 @@ REASONS = (
     "moving: on a small thing that alone pulls the match away from the odometry",
     "neither: free cells only, and wider than a person; kept out of the map as long as the cells are known to be free",
     "neither: free cells only, but so is too much of the scan, or the match failed; kept out of the map as those",
-    "neither: as what is wider than a person, but away from all walls, or goes on from what is on free cells; kept out"
-    " of the match as well",
+    "neither: as what is wider than a person, but away from all walls, or goes on from what is on free cells, and not"
+    " in line with a wall; kept out of the match as well",
 )
 NOT_MAPPED = (TOO_WIDE, UNSUPPORTED, COME_UP)
 """Neither moving nor static."""
