@@ -160,6 +160,8 @@ def _drop_walls(
 
     Cells along a wall are free where beams pass it at a grazing angle before any hits it, or where it is of glass.
     """
+    if not np.any(surplus > 0):
+        return
     n = points.shape[0]
     is_joined = np.empty(n, dtype=np.bool_)
     for k in range(n):
