@@ -240,10 +240,12 @@ def _go_on(points: FloatArray, max_gap: float, max_skipped_beams: int, reason: I
         is_member[k] = reason[k] in (UNKNOWN, COME_UP, TOO_WIDE, FREE, VACATED, TRACKED, ALONG)
     labels = np.empty(n, dtype=np.int64)
     n_clusters = cluster_beams(points, is_member, max_gap, max_skipped_beams, labels)
-    surplus = np.zeros(n_clusters, dtype=np.int64)
+    surplus, has_unknown = np.zeros(n_clusters, dtype=np.int64), np.zeros(n_clusters, dtype=np.bool_)
     for k in range(n):
         if labels[k] >= 0:
             surplus[labels[k]] += -1 if reason[k] == UNKNOWN else 1
+            has_unknown[labels[k]] |= reason[k] == UNKNOWN
+    surplus[~has_unknown] = 0
     _drop_walls(points, labels, max_gap, max_skipped_beams, reason, surplus)
     for k in range(n):
         if labels[k] >= 0 and reason[k] == UNKNOWN and surplus[labels[k]] > 0:
