@@ -6,7 +6,7 @@ import numpy as np
 
 from slammot_graph.core._numba import kernel
 from slammot_graph.core.types import BoolArray, FloatArray, IntArray
-from slammot_graph.detection._cluster_kernels import cluster_beams, cluster_boxes
+from slammot_graph.detection._cluster_kernels import cluster_beams, discard_clusters
 from slammot_graph.detection._kernels import log_odds_at
 from slammot_graph.detection.reasons import (
     ALONG,
@@ -139,12 +139,9 @@ def _wide_groups(
 ) -> BoolArray:
     """Number in `labels` (n,) the groups of the members, -1 for others; gives which are too wide for a person."""
     n_clusters = cluster_beams(points, is_member, max_gap, max_skipped_beams, labels)
-    box = np.empty((n_clusters, 4))
-    cluster_boxes(points, labels, box)
-    is_wide = np.empty(n_clusters, dtype=np.bool_)
-    for c in range(n_clusters):
-        is_wide[c] = box[c, 1] - box[c, 0] > max_x_range or box[c, 3] - box[c, 2] > max_y_range
-    return is_wide
+    is_kept = np.empty(n_clusters, dtype=np.bool_)
+    discard_clusters(points, labels, n_clusters, 0, max_x_range, max_y_range, is_kept)
+    return ~is_kept
 
 
 @kernel
