@@ -45,7 +45,9 @@ MIN_TURNING, MAX_TURNING, MAX_SCANS = 20, 160, 800
 """Turning scans needed, after as many of which it is looked at anew; looked at most; scans read at most."""
 
 MIN_SIGMA, SURE_SIGMA = 3.5, 6.0
-"""Standard deviations by which an assumption must agree more than what is told; by which no more scans are read."""
+"""Standard deviations by which an assumption must agree more than what is told; by which no more scans are read.
+
+The first also for how much the best one must lead the others, of which none is told, where no more are read."""
 
 TOLD_SO = "time_increment"
 """Words of the log's warnings that what was found takes the place of."""
@@ -280,11 +282,14 @@ class _Trial:
         return np.array([x.agreement for x in self._assumed])
 
     def _is_sure(self) -> bool:
-        """Whether one assumption leads all others by far."""
+        """Whether one assumption leads what is told by far, and the others clearly; or what is told all by far."""
         agreement = self._agreement()
         best = int(agreement.mean(axis=1).argmax())
-        others = np.delete(agreement, best, axis=0)
-        return all(_lead(agreement[best], other)[1] > SURE_SIGMA for other in others)
+        return all(
+            _lead(agreement[best], other)[1] > (MIN_SIGMA if best and k else SURE_SIGMA)
+            for k, other in enumerate(agreement)
+            if k != best
+        )
 
 
 def _lead(one: FloatArray, other: FloatArray) -> tuple[float, float]:

@@ -39,12 +39,13 @@ def cast(
             near2 = (ax + t * wx) ** 2 + (ay + t * wy) ** 2
             if near2 > range_max * range_max:
                 continue
-            a_angle, b_angle = np.arctan2(ay, ax), np.arctan2(by, bx)
-            span = (b_angle - a_angle + np.pi) % turn - np.pi
-            low = a_angle if span >= 0.0 else b_angle
-            span = abs(span)
-            if near2 < 1e-12 * length2:  # the laser is on the segment: any beam may meet it
+            if n_beams == 1 or near2 < 1e-12 * length2:  # one beam is soon asked; or on the segment
                 low, span = angle_min, turn
+            else:
+                a_angle, b_angle = np.arctan2(ay, ax), np.arctan2(by, bx)
+                span = (b_angle - a_angle + np.pi) % turn - np.pi
+                low = a_angle if span >= 0.0 else b_angle
+                span = abs(span)
             cross_a = ax * wy - ay * wx
             start = (low - angle_min) % turn
             for wrap in range(2):
@@ -69,7 +70,7 @@ def cast(
             centre2 = ax * ax + ay * ay
             if centre2 > (range_max + radius) ** 2:
                 continue
-            if centre2 <= radius * radius:
+            if n_beams == 1 or centre2 <= radius * radius:
                 low, span = angle_min, turn
             else:
                 half = np.arcsin(radius / np.sqrt(centre2))
