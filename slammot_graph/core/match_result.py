@@ -10,6 +10,9 @@ from slammot_graph.core.types import BoolArray, FloatArray
 
 MatchStatus = Literal["converged", "degenerate", "failed"]
 
+MEAN_NIS = 3.0
+"""Of a match that is as far from its prediction as both err: its degrees of freedom."""
+
 UNLIKELY_NIS = 16.27
 """Normalised innovation squared that a consistent match exceeds once in a thousand times (3 degrees of freedom)."""
 

@@ -7,27 +7,22 @@ from operator import itemgetter
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.match_result import UNLIKELY_NIS, MatchResult
+from slammot_graph.core.match_result import MEAN_NIS, UNLIKELY_NIS, MatchResult
 from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization.base import fuse
 from slammot_graph.localization.company import CompanyCheck
 from slammot_graph.localization.config import ScanToMapConfig
 from slammot_graph.localization.matchers import matcher_failing_below, noisier_matcher
-from slammot_graph.localization.recent_scans import RecentScans, turned_starts
+from slammot_graph.localization.other_starts import leads, shifted_starts, some_of, turned_starts
+from slammot_graph.localization.recent_scans import RecentScans
 from slammot_graph.mapping.local_map import LocalMap
 from slammot_graph.odometry._motion_kernels import heavy_tail_scale
 from slammot_graph.odometry.propagation import MotionState
 from slammot_graph.registration.base import Match, Matcher, MatchPrior
 from slammot_graph.registration.factory import make_matcher
 
-N_SEARCHED = 60
-"""Returns that a search of many starts looks at; the best start is then matched with all."""
-
-MOST = 0.5
-"""Fewer of the returns than most make no pose, however it leads."""
-
-MEAN_NIS = 3.0
-"""Of a match that is as far from its prediction as both err: its degrees of freedom."""
+HALF_TRACK_M = 0.3
+"""Between the middle of a robot and a wheel, about: one that slips makes up a turn, and a way in proportion to it."""
 
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
@@ -168,8 +163,9 @@ class MapMatching:
 
     @property
     def is_elsewhere(self) -> bool:
-        """Whether the latest scan was matched from another start than the prediction."""
-        return self._elsewhere is not None
+        """Whether the latest scan was matched from another start than the prediction, in all directions."""
+        is_determined = self._latest is not None and self._latest.status == "converged"
+        return is_determined and self._elsewhere is not None
 
     def is_supported(self, match: MatchResult) -> bool:
         """Tell whether enough returns tell of the direction in which a match differs from its prediction.
@@ -322,7 +318,8 @@ class MapMatching:
 
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
         Where hardly any agree with the prediction, and much of what is seen is new, as at the start of a spin, a pose
-        is believed as well that leads by far.
+        is believed as well that leads by far. Down a bare corridor no pose is determined, but a turn that the odometry
+        made up is: the way along is still the odometry's, as uncertain as a wheel that slips makes it.
         """
         wide = self.config.lost_cov
         anywhere = start.loosened(wide)._replace(cov_prior=wide, cov_independent=wide)
@@ -340,19 +337,32 @@ class MapMatching:
             rounds = [[*rounds[0], *turned_starts(start.T_local_base, step_rad, reach_rad, math.pi), shifted]]
         elif is_astray:
             rounds.append(turned_starts(start.T_local_base, step_rad, reach_rad, math.pi))
-        found = list[tuple[float, FloatArray]]()
+        found, sliding = list[tuple[float, FloatArray]](), list[tuple[float, FloatArray]]()
         for starts in rounds:
             for T in starts:
                 match, T_found, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
                 way_m, turn_rad = se2.distance(self._recent.T_local_before, T_found)
-                if match.status == "converged" and way_m <= most_m and turn_rad <= most_rad:
-                    found.append((match.inlier_ratio, T_found))
+                if match.status != "failed" and way_m <= most_m and turn_rad <= most_rad:
+                    (found if match.status == "converged" else sliding).append((match.inlier_ratio, T_found))
             best = max(found, key=itemgetter(0), default=None)
             if best is not None and best[0] > needed:
                 return anywhere._replace(T_local_base=best[1])
-        if best is None or not is_astray or not self._leads(best, found, agreement):
+        if (
+            best is not None
+            and is_astray
+            and leads(best, found, agreement, self._usual_agreement, self.config)
+        ):
+            return anywhere._replace(T_local_base=best[1])
+        turned = max(sliding, key=itemgetter(0), default=None)
+        if turned is None or turned[0] <= needed or self.is_adrift or not self._recent.has_odometry:
             return None
-        return anywhere._replace(T_local_base=best[1])
+        T = np.append(start.T_local_base[:2], turned[1][2])
+        match, T, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
+        if match.status == "failed" or match.inlier_ratio <= needed:
+            return None
+        offset = np.abs(se2.between(start.T_local_base, T))
+        offset[:2] += HALF_TRACK_M * offset[2]
+        return start.loosened(np.diag(offset**2))._replace(T_local_base=T)
 
     def _farthest(self, start: MotionState) -> tuple[float, float]:
         """How far the robot can be [m, rad] from where it was at the scan before: about as far as told, or as lately.
@@ -364,37 +374,17 @@ class MapMatching:
         way_m, turn_rad = self._recent.farthest(start.T_local_base)
         return self.config.adrift_m + way_m, self.config.lost_std_rad + turn_rad
 
-    def _leads(
-        self, best: tuple[float, FloatArray], found: list[tuple[float, FloatArray]], agreement: float
-    ) -> bool:
-        """Tell whether a pose is agreed by about as much as usual, and by far more than the start and all others."""
-        config = self.config
-        if best[0] < max(MOST, config.usual_share * self._usual_agreement):
-            return False
-        offsets = se2.between(best[1], np.array([T for _, T in found]))
-        is_other = np.hypot(offsets[:, 0], offsets[:, 1]) > config.adrift_m
-        is_other |= np.abs(offsets[:, 2]) > config.turn_step_rad
-        rivals = [share for (share, _), other in zip(found, is_other.tolist(), strict=True) if other]
-        return best[0] >= config.astray_lead * max([agreement, *rivals])
-
     def _best_shifted(
         self, points_base: FloatArray, is_valid: BoolArray, start: MotionState, std_m: float
     ) -> FloatArray:
         """Where some of the returns agree best of all places that the robot may be at, in all headings."""
-        step_m = self.config.adrift_m
-        n = int(min(self.config.shift_reach * std_m, self.config.lost_std_m) / step_m)
-        shifts = [(i, j) for i in range(-n, n + 1) for j in range(-n, n + 1) if math.hypot(i, j) <= n]
-        some = np.zeros_like(is_valid)
-        k = np.flatnonzero(is_valid)
-        some[k[:: max(len(k) // N_SEARCHED, 1)]] = True
-        matcher = matcher_failing_below(self.config.point_to_line, 0.0)
-        best, T_best = 0.0, start.T_local_base
-        for i, j in shifts:
-            T = se2.compose(start.T_local_base, np.array([i * step_m, j * step_m, 0.0]))
-            there = start._replace(T_local_base=T)
-            for T_start in (T, *turned_starts(T, self.config.turn_step_rad, 0.0, math.pi)):
-                at = there._replace(T_local_base=T_start)
-                match, T_found, _ = self._match_from(points_base, some, at, matcher=matcher)
-                if match.inlier_ratio > best:
-                    best, T_best = match.inlier_ratio, T_found
+        some, matcher = some_of(is_valid), matcher_failing_below(self.config.point_to_line, 0.0)
+        config, best, T_best = self.config, 0.0, start.T_local_base
+        reach_m = min(config.shift_reach * std_m, config.lost_std_m)
+        for T in shifted_starts(start.T_local_base, config.adrift_m, reach_m, config.turn_step_rad):
+            match, T_found, _ = self._match_from(
+                points_base, some, start._replace(T_local_base=T), matcher=matcher
+            )
+            if match.inlier_ratio > best:
+                best, T_best = match.inlier_ratio, T_found
         return T_best

@@ -66,12 +66,3 @@ class RecentScans:
             np.hypot(*(offset - leap)[:2]) < LEAP_M for leap in self._leaps
         )
         return not is_confirmed
-
-
-def turned_starts(
-    T_local_base: FloatArray, step_rad: float, beyond_rad: float, reach_rad: float
-) -> list[FloatArray]:
-    """Poses (3,) turned either way, in steps, by more than one angle and up to another."""
-    steps = range(int(beyond_rad / step_rad) + 1, int(reach_rad / step_rad) + 1)
-    turns = [sign * k * step_rad for k in steps for sign in (1.0, -1.0)]
-    return [se2.compose(T_local_base, np.array([0.0, 0.0, turn])) for turn in turns]

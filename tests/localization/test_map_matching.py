@@ -8,7 +8,7 @@ import pytest
 from slammot_graph.core import se2
 from slammot_graph.core.match_result import UNLIKELY_NIS
 from slammot_graph.core.scan import Scan
-from slammot_graph.core.types import FloatArray
+from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.localization.map_matching import MapMatching
 from slammot_graph.mapping.local_map import LocalMap, LocalMapConfig, make_keyframe
@@ -290,6 +290,31 @@ def test_returns_that_were_called_moving_by_a_wrong_prediction_are_matched_too()
     assert match.n_correspondences > 2 * np.count_nonzero(few)
     assert matching.agreement(match) == match.inlier_ratio
     assert max(errors(STEP, state.T_local_base)) < 5e-3
+
+
+@pytest.mark.parametrize("turn_rad", [0.2, -0.3])
+def test_a_turn_that_the_odometry_made_up_is_taken_back_down_a_corridor(turn_rad: float) -> None:
+    """Walls that lie on free cells as predicted are called moving, and no match is determined along it."""
+    local_map, T = LocalMap(LocalMapConfig()), np.array([0.0, 0.2, 0.0])
+
+    def scan_at(x_m: float) -> tuple[FloatArray, BoolArray]:
+        scan = take_scan(T + np.array([x_m, 0.0, 0.0]), walls=CORRIDOR)
+        return scan.points_base(), scan.is_valid(4.5)
+
+    keyframe = make_keyframe(0, np.zeros(3), *scan_at(0.0), LASER, local_map.config)
+    local_map.add(keyframe)
+    matching, step = used_to_agreement(matching_at(np.zeros(3))), np.array([0.1, 0.0, 0.0])
+    matching.local_map = local_map
+    matching.start_scan(LASER.origin_base, np.zeros(3), has_odometry=True, most_change_m=0.15)
+    points, is_valid = scan_at(0.1)
+    is_static = is_valid & (np.arange(len(is_valid)) % 20 < 13)
+    start = certain_at(step + np.array([0.0, 0.0, turn_rad]))
+    match, state = matching.match(points, is_static, start, is_valid=is_valid)
+    assert match.status == "degenerate"
+    assert match.contradicts_odometry
+    assert max(errors(step, state.T_local_base)) < 0.01
+    assert matching.is_agreed(match)
+    assert 0.04 < np.sqrt(state.cov_prior[0, 0]) < 0.4  # one wheel has slipped
 
 
 def test_what_moves_does_not_agree() -> None:

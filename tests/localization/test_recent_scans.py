@@ -5,7 +5,7 @@ import pytest
 
 from slammot_graph.core import se2
 from slammot_graph.core.types import FloatArray
-from slammot_graph.localization.recent_scans import LEAP_M, N_LEAPS, REACH, RecentScans, turned_starts
+from slammot_graph.localization.recent_scans import LEAP_M, N_LEAPS, REACH, RecentScans
 
 FIRST, SECOND = np.array([1.0, 2.0, 0.3]), np.array([1.2, 2.1, 0.4])
 
@@ -50,8 +50,3 @@ def test_a_match_out_of_reach_is_believed_once_others_confirm_it() -> None:
 
 def test_without_odometry_nothing_is_out_of_reach() -> None:
     assert not after(FIRST, SECOND).is_out_of_reach(SECOND, np.array([40.0, 0.0, 0.0]))
-
-
-def test_starts_are_turned_either_way_in_steps() -> None:
-    turns = [se2.between(FIRST, T) for T in turned_starts(FIRST, 0.3, 0.35, 1.0)]
-    np.testing.assert_allclose(turns, [[0, 0, 0.6], [0, 0, -0.6], [0, 0, 0.9], [0, 0, -0.9]], atol=1e-12)
