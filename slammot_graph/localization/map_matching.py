@@ -318,20 +318,19 @@ class MapMatching:
 
         Gives the best pose as a start with a wide covariance; None where that is not agreed, or nothing is better.
         Where hardly any agree with the prediction, and much of what is seen is new, as at the start of a spin, a pose
-        is believed as well that leads by far. Down a bare corridor no pose is determined, but a turn that the odometry
-        made up is: the way along is still the odometry's, as uncertain as a wheel that slips makes it.
+        is believed as well that leads by far. Down a bare corridor no pose is determined, but the heading is.
         """
         wide = self.config.lost_cov
         anywhere = start.loosened(wide)._replace(cov_prior=wide, cov_independent=wide)
-        agreement = self.agreement(doubtful)
+        agreement, usual = self.agreement(doubtful), self._usual_agreement
         needed = max(agreement + self.config.agreement_gain, self.config.min_agreement)
         most_m, most_rad = self._farthest(start)
         reach_rad = min(self.config.turn_reach * math.sqrt(start.cov_prior[2, 2]), math.pi)
         step_rad = self.config.turn_step_rad
         rounds = [self._recent.starts() + turned_starts(start.T_local_base, step_rad, 0.0, reach_rad)]
-        is_astray = not self.is_adrift and agreement < self.config.astray_share * self._usual_agreement
+        is_astray = not self.is_adrift and agreement < self.config.astray_share * usual
         if self.is_adrift:
-            needed = max(needed, self.config.adrift_share * self._usual_agreement)
+            needed = max(needed, self.config.adrift_share * usual)
             std_m = math.sqrt(np.trace(start.cov_motion[:2, :2]))
             shifted = self._best_shifted(points_base, is_valid, anywhere, std_m)
             rounds = [[*rounds[0], *turned_starts(start.T_local_base, step_rad, reach_rad, math.pi), shifted]]
@@ -347,17 +346,27 @@ class MapMatching:
             best = max(found, key=itemgetter(0), default=None)
             if best is not None and best[0] > needed:
                 return anywhere._replace(T_local_base=best[1])
-        if (
-            best is not None
-            and is_astray
-            and leads(best, found, agreement, self._usual_agreement, self.config)
-        ):
+        if best is not None and is_astray and leads(best, found, agreement, usual, self.config):
             return anywhere._replace(T_local_base=best[1])
         turned = max(sliding, key=itemgetter(0), default=None)
         if turned is None or turned[0] <= needed or self.is_adrift or not self._recent.has_odometry:
             return None
         T = np.append(start.T_local_base[:2], turned[1][2])
-        match, T, _ = self._match_from(points_base, is_valid, anywhere._replace(T_local_base=T))
+        return self._turned_back(points_base, is_valid, start, anywhere._replace(T_local_base=T), needed)
+
+    def _turned_back(
+        self,
+        points_base: FloatArray,
+        is_valid: BoolArray,
+        start: MotionState,
+        turned: MotionState,
+        needed: float,
+    ) -> MotionState | None:
+        """Take back a turn that the odometry made up, down a bare corridor, where no match is determined.
+
+        The way along is still the odometry's, as uncertain as a wheel that slips makes it.
+        """
+        match, T, _ = self._match_from(points_base, is_valid, turned)
         if match.status == "failed" or match.inlier_ratio <= needed:
             return None
         offset = np.abs(se2.between(start.T_local_base, T))
