@@ -119,6 +119,11 @@ ROWS = (
         test="tests/localization/test_recent_scans.py tests/localization/test_map_matching.py -k believed or anew",
     ),
     Row(
+        fault="wheels that slip make up a turn, down a bare corridor",
+        outcome="the turn is taken back, told as a contradiction; the way stays the odometry's",
+        test="tests/localization/test_map_matching.py -k made_up",
+    ),
+    Row(
         fault="an observer of one's own fails",
         outcome="the run ends, its results are kept",
         test="tests/test_observer.py -k fails or begin",
