@@ -47,7 +47,8 @@ MIN_TURNING, MAX_TURNING, MAX_SCANS = 20, 160, 800
 MIN_SIGMA, SURE_SIGMA = 3.5, 6.0
 """Standard deviations by which an assumption must agree more than what is told; by which no more scans are read.
 
-The first also for how much the best one must lead the others, of which none is told, where no more are read."""
+By the first the best one must also lead the others that are not told, where no more scans are read.
+"""
 
 TOLD_SO = "time_increment"
 """Words of the log's warnings that what was found takes the place of."""

@@ -39,7 +39,8 @@ def cast(
             near2 = (ax + t * wx) ** 2 + (ay + t * wy) ** 2
             if near2 > range_max * range_max:
                 continue
-            if n_beams == 1 or near2 < 1e-12 * length2:  # one beam is soon asked; or on the segment
+            # any beam may meet a segment that the laser is on; one beam alone is cheaper asked than its bounds
+            if n_beams == 1 or near2 < 1e-12 * length2:
                 low, span = angle_min, turn
             else:
                 a_angle, b_angle = np.arctan2(ay, ax), np.arctan2(by, bx)
