@@ -124,6 +124,9 @@ class ScanToMapConfig(Checked):
         are turned all around ...
     astray_lead : float
         ... and a pose is believed with which so many times as many agree as with any other, `usual_share` of the usual.
+    slip_lever_m : float
+        Where only the heading contradicts the odometry, as down a bare corridor, the wheels have slipped, and the way
+        is as uncertain as that turn times this: half a track where one wheel slips alone, more where both do.
     adrift_m : float
         Where the motion since the scan before is known less well, as after a gap without odometry, starts are shifted
         as well, in steps of this length ...
@@ -160,6 +163,7 @@ class ScanToMapConfig(Checked):
     turn_step_rad: Positive = 0.3
     astray_share: Share = 0.5
     astray_lead: AtLeastOne = 1.5
+    slip_lever_m: NotNegative = 1.0
     adrift_m: Positive = 0.5
     shift_reach: Positive = 1.5
     adrift_share: Share = 0.9

@@ -21,9 +21,6 @@ from slammot_graph.odometry.propagation import MotionState
 from slammot_graph.registration.base import Match, Matcher, MatchPrior
 from slammot_graph.registration.factory import make_matcher
 
-HALF_TRACK_M = 0.3
-"""Between the middle of a robot and a wheel, about: one that slips makes up a turn, and a way in proportion to it."""
-
 _HELD_COV = 1e-10 * np.eye(3)
 """Of a prior so certain that a match stays where it starts."""
 
@@ -364,13 +361,13 @@ class MapMatching:
     ) -> MotionState | None:
         """Take back a turn that the odometry made up, down a bare corridor, where no match is determined.
 
-        The way along is still the odometry's, as uncertain as a wheel that slips makes it.
+        The way along is still the odometry's, as uncertain as wheels that slip make it.
         """
         match, T, _ = self._match_from(points_base, is_valid, turned)
         if match.status == "failed" or match.inlier_ratio <= needed:
             return None
         offset = np.abs(se2.between(start.T_local_base, T))
-        offset[:2] += HALF_TRACK_M * offset[2]
+        offset[:2] += self.config.slip_lever_m * offset[2]
         return start.loosened(np.diag(offset**2))._replace(T_local_base=T)
 
     def _farthest(self, start: MotionState) -> tuple[float, float]:

@@ -314,7 +314,7 @@ def test_a_turn_that_the_odometry_made_up_is_taken_back_down_a_corridor(turn_rad
     assert match.contradicts_odometry
     assert max(errors(step, state.T_local_base)) < 0.01
     assert matching.is_agreed(match)
-    assert 0.04 < np.sqrt(state.cov_prior[0, 0]) < 0.4  # one wheel has slipped
+    assert 0.04 < np.sqrt(state.cov_prior[0, 0]) < 0.4  # wheels have slipped
 
 
 def test_what_moves_does_not_agree() -> None:
