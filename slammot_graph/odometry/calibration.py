@@ -215,10 +215,13 @@ class SelfCalibration:
         step = config.offset_step_s
         n = round(config.max_offset_s / step)
         coarse = step * np.arange(-n, n + 1)
-        costs = np.array([self._offset_costs(rows, offset, history) for offset in coarse])
+        variances = self._learnt_variances(rows[:, 2:5])
+        costs = np.array([self._offset_costs(rows, variances, offset, history) for offset in coarse])
         best = coarse[int(np.argmin(costs.sum(axis=1)))]
         fine = best + 0.2 * step * np.arange(-5, 6)
-        fine_costs_of_rows = np.array([self._offset_costs(rows, offset, history) for offset in fine])
+        fine_costs_of_rows = np.array(
+            [self._offset_costs(rows, variances, offset, history) for offset in fine]
+        )
         fine_costs = fine_costs_of_rows.sum(axis=1)
         k = int(np.clip(np.argmin(fine_costs), 1, len(fine) - 2))
         curvature = (fine_costs[k - 1] - 2.0 * fine_costs[k] + fine_costs[k + 1]) / (0.2 * step) ** 2
@@ -228,7 +231,7 @@ class SelfCalibration:
             spread = float(long_run_variance(slopes[:, None])[0, 0])
             std = max(1.0 / math.sqrt(curvature), math.sqrt(spread) / curvature)
         # What is left of the smoothing by interpolation favours both signs alike: an offset must beat its opposite too.
-        opposite = self._offset_costs(rows, -float(fine[k]), history)
+        opposite = self._offset_costs(rows, variances, -float(fine[k]), history)
         if not all(self._is_clear(other - fine_costs_of_rows[k]) for other in (costs[n], opposite)):
             return Estimated(value=0.0, std=std)
         slope = (fine_costs[k + 1] - fine_costs[k - 1]) / (0.4 * step)
@@ -252,19 +255,26 @@ class SelfCalibration:
         near = np.searchsorted(times, rows[:, 0] - reach_s), np.searchsorted(times, rows[:, 1] + reach_s)
         return np.asarray(rows[near[0] == near[1]])
 
-    def _offset_costs(self, rows: FloatArray, offset: float, history: OdometryHistory) -> FloatArray:
-        """(n,) negative log likelihood of the increments at a clock offset, the other parameters fitted."""
+    def _offset_costs(
+        self, rows: FloatArray, variances: FloatArray, offset: float, history: OdometryHistory
+    ) -> FloatArray:
+        """(n,) negative log likelihood of what the odometry tells at a clock offset, the other parameters fitted.
+
+        By its variances (n, 2), beside those of the matches.
+        The odometry is fitted to the matches, for its noise is the larger: the other way round, down a corridor, a
+        heading scale of 0 explains the matches best, at whatever offset the fit happens to find it.
+        """
         u = told_increments(rows[:, 0], rows[:, 1], float(offset), history, spread_s=usual_step(rows))
-        std = self._stds(rows[:, 5:7])
+        found = rows[:, 2:5]
+        std = self._stds(rows[:, 5:7] + variances)
         heading = robust_fit(
-            np.column_stack([u[:, 2], np.hypot(u[:, 0], u[:, 1])]),
-            rows[:, 4],
+            np.column_stack([found[:, 2], np.hypot(found[:, 0], found[:, 1])]),
+            u[:, 2],
             std[:, 1],
             self._heading_prior(),
         )
-        rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
-        z = np.concatenate([rows[:, 2], rows[:, 3]])
-        translation = robust_fit(rotated, z, np.tile(std[:, 0], 2), self._scale_prior())
+        told = np.concatenate([u[:, 0], u[:, 1]])
+        translation = robust_fit(_scaled_and_turned(found), told, np.tile(std[:, 0], 2), self._scale_prior())
         return np.asarray(heading.costs + translation.costs.reshape(2, -1).sum(axis=0))
 
     def _stds(self, variances: FloatArray) -> FloatArray:
@@ -312,10 +322,9 @@ class SelfCalibration:
         if np.count_nonzero(is_moving) < MIN_WINDOWS:
             return Estimated(value=1.0), Estimated(value=0.0)
         u, z, std = told[is_moving], windows.found[is_moving], self._stds(windows.var)[is_moving, 0]
-        rotated = np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
         prior = self._scale_prior()
         found = np.concatenate([z[:, 0], z[:, 1]])
-        fit = robust_fit(rotated, found, np.tile(std, 2), prior, is_scale_given=False)
+        fit = robust_fit(_scaled_and_turned(u), found, np.tile(std, 2), prior, is_scale_given=False)
         scale, stds = math.hypot(*fit.x), stds_of(fit, prior[1], n_series=2)
         return (
             Estimated(value=scale, std=stds[0]),
@@ -358,5 +367,14 @@ class SelfCalibration:
 
     def noise_variances(self, increments: FloatArray) -> FloatArray:
         """(n, 2) variances of the noise model for increments (n, 3): per axis of the translation, and rotation."""
-        covs = [self.noise.covariance(increment) for increment in increments]
-        return np.array([(cov[0, 0], cov[2, 2]) for cov in covs])
+        return np.array([self.noise.variances(increment) for increment in increments])
+
+    def _learnt_variances(self, increments: FloatArray) -> FloatArray:
+        """(n, 2) variances of the noise where it is found less than modelled; at a wrong clock offset it seems more."""
+        scales = min(self.now.noise_scale_m.value, 1.0), min(self.now.noise_scale_rad.value, 1.0)
+        return np.asarray(self.noise_variances(increments) * np.square(scales))
+
+
+def _scaled_and_turned(u: FloatArray) -> FloatArray:
+    """(2n, 2) columns of a linear fit to the motion (n, 3): a scale times cosine and sine of a direction."""
+    return np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
