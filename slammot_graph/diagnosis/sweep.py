@@ -18,6 +18,7 @@ from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
 from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.types import FloatArray
+from slammot_graph.diagnosis.inspect import FULL_TURN
 from slammot_graph.diagnosis.mounting import by_laser_alone
 from slammot_graph.diagnosis.own_body import Source
 from slammot_graph.diagnosis.turns import agreement_of
@@ -165,8 +166,8 @@ def find_sweeps(log: Iterable[Scan], *, has_own_times: bool = False) -> dict[int
 
 
 def _may_be_wrong(scan: Scan, *, has_own_times: bool) -> bool:
-    """Tell whether a laser looks all round, and the times of its beams are none, or those of a driver."""
-    if _span_rad(scan.laser) < WHOLE_TURN_RAD:
+    """Tell whether a laser looks all round, and no farther, and its beams have no times, or those of a driver."""
+    if not WHOLE_TURN_RAD <= _span_rad(scan.laser) <= 2.0 * math.pi * FULL_TURN:
         return False
     return scan.beam_times is None or not has_own_times
 

@@ -1,6 +1,7 @@
 """When a laser sends out its beams: found where it turns, where the log may tell wrong, and only then."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.scan import Scan
 from slammot_graph.diagnosis.checking import check_log
-from slammot_graph.diagnosis.sweep import Sweep, _assumptions, _lead, find_sweeps, with_found_sweeps
+from slammot_graph.diagnosis.sweep import Sweep, _assumptions, _lead, _may_be_wrong, find_sweeps, with_found_sweeps
 from slammot_graph.evaluation import absolute_error
 from slammot_graph.logs import open_log
 from slammot_graph.logs.arrays import write_npz_log
@@ -84,6 +85,14 @@ def test_so_do_simulations_in_memory_and_lasers_that_do_not_look_all_round(tmp_p
     assert with_found_sweeps(drive(1.0)) is drive(1.0)
     log = log_of(tmp_path / "log.npz", sweep=1.0, told_s=0.0, n_beams=270)
     assert with_found_sweeps(log) is log
+
+
+def test_a_laser_that_looks_farther_than_all_round_is_not_searched() -> None:
+    """Its angles are in degrees, and no sweep makes sense of them."""
+    scan = next(iter(drive(0.0)))
+    assert _may_be_wrong(scan, has_own_times=False)
+    in_degrees = replace(scan.laser, angle_increment=float(np.degrees(scan.laser.angle_increment)))
+    assert not _may_be_wrong(replace(scan, laser=in_degrees), has_own_times=False)
 
 
 def test_snapshots_that_are_told_as_a_sweep_are_found(tmp_path: Path) -> None:
