@@ -12,7 +12,14 @@ import pytest
 from slammot_graph.core.errors import InputError
 from slammot_graph.core.scan import Scan
 from slammot_graph.diagnosis.checking import check_log
-from slammot_graph.diagnosis.sweep import Sweep, _assumptions, _lead, _may_be_wrong, find_sweeps, with_found_sweeps
+from slammot_graph.diagnosis.sweep import (
+    Sweep,
+    _assumptions,
+    _lead,
+    _may_be_wrong,
+    find_sweeps,
+    with_found_sweeps,
+)
 from slammot_graph.evaluation import absolute_error
 from slammot_graph.logs import open_log
 from slammot_graph.logs.arrays import write_npz_log
