@@ -18,7 +18,8 @@ from slammot_graph.core.scan import Scan
 from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry._motion_kernels import judge_predictions, relative
-from slammot_graph.odometry.calibration import CalibrationConfig, SelfCalibration
+from slammot_graph.odometry.calibration import SelfCalibration
+from slammot_graph.odometry.calibration_config import CalibrationConfig
 from slammot_graph.odometry.deskew import (
     MIN_SWEEP_S,
     beam_times_of,

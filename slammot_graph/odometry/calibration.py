@@ -1,9 +1,8 @@
 """Self-calibration of the odometry from the matches: clock offset, scales, bias, direction and noise.
 
-The increments between matched scans are compared with those that the odometry tells at shifted times. For each clock
-offset of a grid the other parameters are a robust linear fit (iteratively reweighted least squares, Student's t with
-4 degrees of freedom); the offset with the least cost is taken where it explains the data clearly better than none. What
-the drive does not excite keeps its prior, with an infinite standard deviation.
+The increments between matched scans are compared with those that the odometry tells at the times that the clock offset
+(`clock_offset`) says; the other parameters are robust linear fits (iteratively reweighted least squares, Student's t
+with 4 degrees of freedom). What the drive does not excite keeps its prior, with an infinite standard deviation.
 """
 
 import math
@@ -12,80 +11,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from slammot_graph.core import se2
-from slammot_graph.core.checks import Checked, Count, Positive
 from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.calibration_config import CalibrationConfig
+from slammot_graph.odometry.clock_offset import ClockOffsetSearch
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
-from slammot_graph.odometry.robust_fit import long_run_variance, noise_scale_of, robust_fit, stds_of
-from slammot_graph.odometry.windows import Windows, joined, smoothed_rows, told_increments, usual_step
+from slammot_graph.odometry.robust_fit import noise_scale_of, robust_fit, scaled_and_turned, stds_of
+from slammot_graph.odometry.windows import Windows, joined
 
 MIN_WINDOWS = 8
 """Scales are not fitted to fewer."""
 
 N_HEADING_FITS = 3
 """The turns of windows that hardly turn are mended by the scale of the fit before."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrationConfig(Checked):
-    """How the odometry is calibrated while running.
-
-    Attributes
-    ----------
-    n_kept : int
-        The latest so many increments are fitted.
-    n_first : int
-        The first fit is made with so many ...
-    growth : float
-        ... and the next ones when there are this many times as many, or `n_between` more.
-    n_between : int
-    max_offset_s : float
-        Clock offsets are searched up to this.
-    offset_step_s : float
-        Step of the search, refined to a fifth.
-    min_gain : float
-        Natural logarithm of the likelihood ratio against no offset at which an offset is believed ...
-    min_sigma, min_sigma_kept : float
-        ... if that is so many of its standard deviations (Vuong 1989, with neighbours that go together); and of one
-        that was believed before. Down a corridor the matches err for many scans in a row, which some offset always
-        happens to explain.
-    window_m : float
-        Increments are joined until they are about this long, so that scales stand out of the noise ...
-    max_window : int
-        ... but no more than so many.
-    min_turn_rad : float
-        A window in which the matches tell of less turn tells nothing of the heading's scale.
-    scale_std : float
-        Prior standard deviation of both scales about 1, and of the direction [rad].
-    bias_std_rad_per_m : float
-        Prior standard deviation of the heading bias about 0.
-    shift_std_m : float
-        Prior standard deviation of the laser's place on the base about that of its pose, per axis.
-    min_std_m, min_std_rad : float
-        Least standard deviation of an increment's residual in the fit.
-    noise_scale_std : float
-        Prior standard deviation of the natural logarithm of the noise's variance about that of the noise model.
-    """
-
-    n_kept: Count = 800
-    n_first: Count = 20
-    growth: Positive = 1.5
-    n_between: Count = 500
-    max_offset_s: Positive = 0.6
-    offset_step_s: Positive = 0.05
-    min_gain: Positive = 12.0
-    min_sigma: Positive = 2.5
-    min_sigma_kept: Positive = 1.0
-    window_m: Positive = 0.4
-    max_window: Count = 8
-    min_turn_rad: Positive = 0.08
-    scale_std: Positive = 0.5
-    bias_std_rad_per_m: Positive = 0.1
-    shift_std_m: Positive = 0.5
-    min_std_m: Positive = 0.003
-    min_std_rad: Positive = 0.002
-    noise_scale_std: Positive = 1.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,18 +72,15 @@ class SelfCalibration:
         self.config = config
         self.noise = noise
         self.now = OdometryCalibration()
+        self._search = ClockOffsetSearch(config, noise)
         self._rows = np.zeros((2 * config.n_kept, self._N_COLUMNS))
         self._n = 0
         self._n_seen = 0
         self._next_fit = config.n_first
-        self._excluded_s = list[float]()
 
     def exclude(self, time_s: float) -> None:
-        """Tell that no robot can have made the odometry's increment up to a time of its clock.
-
-        Interpolated at shifted times it would spoil neighbours at some offsets more than at others.
-        """
-        self._excluded_s.append(time_s)
+        """Tell that no robot can have made the odometry's increment up to a time of its clock."""
+        self._search.exclude(time_s)
 
     def add(
         self,
@@ -186,7 +122,7 @@ class SelfCalibration:
         """Fit all parameters to the increments kept."""
         rows = self._rows[max(self._n - self.config.n_kept, 0) : self._n]
         rows = rows[np.argsort(rows[:, -1], kind="stable")]  # the scans of each laser follow each other
-        offset = self._fit_offset(rows, history)
+        offset = self._search.find(rows, history, is_known=self.now.clock_offset_s.value != 0.0)
         config = self.config
         windows = Windows(rows, offset.value, history, length_m=config.window_m, max_size=config.max_window)
         if windows.n < MIN_WINDOWS:
@@ -206,88 +142,6 @@ class SelfCalibration:
         shift = self._fit_shift(windows, told)
         self.now = replace(first, laser_shift_m=shift, noise_scale_m=noise_m, noise_scale_rad=noise_rad)
 
-    def _fit_offset(self, rows: FloatArray, history: OdometryHistory) -> Estimated:
-        """The clock offset by a grid search, refined; 0 with the curvature's standard deviation where none is clear."""
-        config = self.config
-        rows = self._without_excluded(smoothed_rows(rows))
-        if len(rows) < 20:
-            return Estimated(value=0.0)
-        step = config.offset_step_s
-        n = round(config.max_offset_s / step)
-        coarse = step * np.arange(-n, n + 1)
-        variances = self._learnt_variances(rows[:, 2:5])
-        costs = np.array([self._offset_costs(rows, variances, offset, history) for offset in coarse])
-        best = coarse[int(np.argmin(costs.sum(axis=1)))]
-        fine = best + 0.2 * step * np.arange(-5, 6)
-        fine_costs_of_rows = np.array(
-            [self._offset_costs(rows, variances, offset, history) for offset in fine]
-        )
-        fine_costs = fine_costs_of_rows.sum(axis=1)
-        k = int(np.clip(np.argmin(fine_costs), 1, len(fine) - 2))
-        curvature = (fine_costs[k - 1] - 2.0 * fine_costs[k] + fine_costs[k + 1]) / (0.2 * step) ** 2
-        std = math.inf
-        if curvature > 1.0:
-            slopes = (fine_costs_of_rows[k + 1] - fine_costs_of_rows[k - 1]) / (0.4 * step)
-            spread = float(long_run_variance(slopes[:, None])[0, 0])
-            std = max(1.0 / math.sqrt(curvature), math.sqrt(spread) / curvature)
-        # What is left of the smoothing by interpolation favours both signs alike: an offset must beat its opposite too.
-        opposite = self._offset_costs(rows, variances, -float(fine[k]), history)
-        if not all(self._is_clear(other - fine_costs_of_rows[k]) for other in (costs[n], opposite)):
-            return Estimated(value=0.0, std=std)
-        slope = (fine_costs[k + 1] - fine_costs[k - 1]) / (0.4 * step)
-        value = fine[k] - (slope / curvature if curvature > 1.0 else 0.0)
-        return Estimated(value=float(np.clip(value, fine[k - 1], fine[k + 1])), std=std)
-
-    def _is_clear(self, gains: FloatArray) -> bool:
-        """Tell whether the gains in log likelihood (n,) of an offset, row by row, are more than chance."""
-        config = self.config
-        n_sigma = config.min_sigma_kept if self.now.clock_offset_s.value else config.min_sigma
-        std = math.sqrt(max(float(long_run_variance(gains[:, None])[0, 0]), 0.0))
-        return float(gains.sum()) > max(config.min_gain, n_sigma * std)
-
-    def _without_excluded(self, rows: FloatArray) -> FloatArray:
-        """Rows that no excluded increment can reach at any clock offset."""
-        if not len(rows):
-            return rows
-        reach_s = self.config.max_offset_s + 2.0 * usual_step(rows)
-        self._excluded_s = [time_s for time_s in self._excluded_s if time_s > rows[0, 0] - reach_s]
-        times = np.array(self._excluded_s)
-        near = np.searchsorted(times, rows[:, 0] - reach_s), np.searchsorted(times, rows[:, 1] + reach_s)
-        return np.asarray(rows[near[0] == near[1]])
-
-    def _offset_costs(
-        self, rows: FloatArray, variances: FloatArray, offset: float, history: OdometryHistory
-    ) -> FloatArray:
-        """(n,) negative log likelihood of what the odometry tells at a clock offset, the other parameters fitted.
-
-        By its variances (n, 2), beside those of the matches.
-        The odometry is fitted to the matches, for its noise is the larger: the other way round, down a corridor, a
-        heading scale of 0 explains the matches best, at whatever offset the fit happens to find it.
-        """
-        u = told_increments(rows[:, 0], rows[:, 1], float(offset), history, spread_s=usual_step(rows))
-        found = rows[:, 2:5]
-        std = self._stds(rows[:, 5:7] + variances)
-        heading = robust_fit(
-            np.column_stack([found[:, 2], np.hypot(found[:, 0], found[:, 1])]),
-            u[:, 2],
-            std[:, 1],
-            self._heading_prior(),
-        )
-        told = np.concatenate([u[:, 0], u[:, 1]])
-        translation = robust_fit(_scaled_and_turned(found), told, np.tile(std[:, 0], 2), self._scale_prior())
-        return np.asarray(heading.costs + translation.costs.reshape(2, -1).sum(axis=0))
-
-    def _stds(self, variances: FloatArray) -> FloatArray:
-        """Standard deviations (n, 2) of residuals in a fit, with a lower bound."""
-        least = self.config.min_std_m**2, self.config.min_std_rad**2
-        return np.asarray(np.sqrt(variances + np.array(least)))
-
-    def _heading_prior(self) -> tuple[FloatArray, FloatArray]:
-        return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.bias_std_rad_per_m])
-
-    def _scale_prior(self) -> tuple[FloatArray, FloatArray]:
-        return np.array([1.0, 0.0]), np.array([self.config.scale_std, self.config.scale_std])
-
     def _fit_scales(self, windows: Windows) -> tuple[tuple[Estimated, Estimated], Estimated, Estimated]:
         """Heading scale and bias, distance scale, and direction.
 
@@ -299,9 +153,9 @@ class SelfCalibration:
         return heading, *self._fit_distance(windows, joined(turned.corrected(windows.steps)))
 
     def _fit_heading(self, windows: Windows) -> tuple[Estimated, Estimated]:
-        turn, found, std = windows.told[:, 2], windows.found[:, 2], self._stds(windows.var)[:, 1]
+        turn, found, std = windows.told[:, 2], windows.found[:, 2], self.config.stds(windows.var)[:, 1]
         d = np.hypot(windows.told[:, 0], windows.told[:, 1])
-        prior = self._heading_prior()
+        prior = self.config.heading_prior
         is_turning = np.abs(found) > self.config.min_turn_rad
         if np.count_nonzero(is_turning) < 2 * MIN_WINDOWS:
             prior = prior[0], np.array([1e-4, prior[1][1]])
@@ -311,7 +165,7 @@ class SelfCalibration:
         for _ in range(N_HEADING_FITS):
             fit = robust_fit(A, found - scale * turn * ~is_turning, std, prior, is_scale_given=False)
             scale = float(fit.x[0])
-        stds = stds_of(fit, self._heading_prior()[1])
+        stds = stds_of(fit, self.config.heading_prior[1])
         if prior[1][0] < self.config.scale_std:
             stds[0] = math.inf
         return Estimated(value=float(fit.x[0]), std=stds[0]), Estimated(value=float(fit.x[1]), std=stds[1])
@@ -321,10 +175,10 @@ class SelfCalibration:
         is_moving = (np.hypot(told[:, 0], told[:, 1]) > 0.03) | (np.abs(told[:, 2]) > 0.02)
         if np.count_nonzero(is_moving) < MIN_WINDOWS:
             return Estimated(value=1.0), Estimated(value=0.0)
-        u, z, std = told[is_moving], windows.found[is_moving], self._stds(windows.var)[is_moving, 0]
-        prior = self._scale_prior()
+        u, z, std = told[is_moving], windows.found[is_moving], self.config.stds(windows.var)[is_moving, 0]
+        prior = self.config.scale_prior
         found = np.concatenate([z[:, 0], z[:, 1]])
-        fit = robust_fit(_scaled_and_turned(u), found, np.tile(std, 2), prior, is_scale_given=False)
+        fit = robust_fit(scaled_and_turned(u), found, np.tile(std, 2), prior, is_scale_given=False)
         scale, stds = math.hypot(*fit.x), stds_of(fit, prior[1], n_series=2)
         return (
             Estimated(value=scale, std=stds[0]),
@@ -337,7 +191,7 @@ class SelfCalibration:
         A laser pose that is short by p puts the base at ``B p``, and its motion T is seen as ``inverse(p) T p``:
         farther by ``(R(theta) - I) p``.
         """
-        found, std = windows.found, self._stds(windows.var)[:, 0]
+        found, std = windows.found, self.config.stds(windows.var)[:, 0]
         c, s = np.cos(told[:, 2]) - 1.0, np.sin(told[:, 2])
         swing = np.vstack([np.column_stack([c, -s]), np.column_stack([s, c])])
         left = np.concatenate([found[:, 0] - told[:, 0], found[:, 1] - told[:, 1]])
@@ -368,13 +222,3 @@ class SelfCalibration:
     def noise_variances(self, increments: FloatArray) -> FloatArray:
         """(n, 2) variances of the noise model for increments (n, 3): per axis of the translation, and rotation."""
         return np.array([self.noise.variances(increment) for increment in increments])
-
-    def _learnt_variances(self, increments: FloatArray) -> FloatArray:
-        """(n, 2) variances of the noise where it is found less than modelled; at a wrong clock offset it seems more."""
-        scales = min(self.now.noise_scale_m.value, 1.0), min(self.now.noise_scale_rad.value, 1.0)
-        return np.asarray(self.noise_variances(increments) * np.square(scales))
-
-
-def _scaled_and_turned(u: FloatArray) -> FloatArray:
-    """(2n, 2) columns of a linear fit to the motion (n, 3): a scale times cosine and sine of a direction."""
-    return np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])

@@ -220,6 +220,12 @@ class OdometryHistory:
         return poses[i] + u * own_s * own + bent
 
     @property
+    def start_s(self) -> float:
+        """Time of the first pose known [s]; infinite where none is."""
+        times, _ = self._samples()
+        return float(times[0]) if len(times) else math.inf
+
+    @property
     def end_s(self) -> float:
         """Time of the latest pose known [s]; minus infinity where none is."""
         times, _ = self._samples()

@@ -8,7 +8,7 @@ import numpy as np
 from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry import _fit_kernels
-from slammot_graph.odometry._fit_kernels import DOF
+from slammot_graph.odometry._fit_kernels import DOF, MEDIAN_OF_SQUARES
 
 SLOPE_OF_WEIGHTS = 0.75
 """Mean slope of Student's gradient over the mean weight, for normal residuals of its scale."""
@@ -76,6 +76,16 @@ def stds_of(fit: RobustFit, prior_std: FloatArray, n_series: int = 1) -> list[fl
     spread = SLOPE_OF_WEIGHTS**-2.0 * cov @ long_run_variance(scores) @ cov
     stds = np.sqrt(np.maximum(np.diag(cov), few_samples(len(scores)) ** 2 * np.diag(spread)))
     return [float(std) if std < 0.5 * prior else math.inf for std, prior in zip(stds, prior_std, strict=True)]
+
+
+def residual_scale(normalised: FloatArray) -> float:
+    """Robust standard deviation of residuals (n,) around 0, by their median square."""
+    return math.sqrt(float(np.median(normalised**2)) / MEDIAN_OF_SQUARES)
+
+
+def scaled_and_turned(u: FloatArray) -> FloatArray:
+    """(2n, 2) columns of a linear fit to the motion (n, 3): a scale times cosine and sine of a direction."""
+    return np.vstack([np.column_stack([u[:, 0], -u[:, 1]]), np.column_stack([u[:, 1], u[:, 0]])])
 
 
 def few_samples(n: int) -> float:

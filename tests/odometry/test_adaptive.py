@@ -12,7 +12,7 @@ from slammot_graph.core.scan import LaserModel, Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry import Motion, MotionModel, OdometryNoise
 from slammot_graph.odometry.adaptive import AdaptiveOdometry, AdaptiveOdometryConfig
-from slammot_graph.odometry.calibration import CalibrationConfig
+from slammot_graph.odometry.calibration_config import CalibrationConfig
 from slammot_graph.odometry.motion import MatchedPose
 
 LASER = LaserModel(

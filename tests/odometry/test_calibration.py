@@ -11,7 +11,8 @@ from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.odometry_track import OdometryTrack
 from slammot_graph.core.types import FloatArray
-from slammot_graph.odometry.calibration import CalibrationConfig, OdometryCalibration, SelfCalibration
+from slammot_graph.odometry.calibration import OdometryCalibration, SelfCalibration
+from slammot_graph.odometry.calibration_config import CalibrationConfig
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.noise import OdometryNoise
 
