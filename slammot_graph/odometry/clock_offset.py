@@ -21,6 +21,9 @@ from slammot_graph.odometry.windows import smoothed_rows, told_increments, usual
 MIN_ROWS = 20
 """No offset is looked for in fewer increments."""
 
+LEAST_STEP = 0.5
+"""Increments over less of the usual time are left out."""
+
 N_FINE = 5
 """Steps of the grid are refined to so many parts."""
 
@@ -100,12 +103,17 @@ class ClockOffsetSearch:
         return float(gains.sum()) > max(self.config.min_gain, n_sigma * math.sqrt(_variance_of_sum(gains)))
 
     def _reached(self, rows: FloatArray, history: OdometryHistory) -> FloatArray:
-        """Rows of which the odometry tells at every clock offset, and no excluded increment at any."""
+        """Rows of which the odometry tells at every clock offset, and no excluded increment at any.
+
+        What it tells must be alike at all of them: at other times it tells of hardly any motion in the short steps of
+        scans that were stamped in bursts, which a scale of 0 explains best.
+        """
         if not len(rows):
             return rows
         step_s = usual_step(rows)
         reach_s = self.config.max_offset_s + step_s
         rows = rows[(rows[:, 0] - reach_s >= history.start_s) & (rows[:, 1] + reach_s <= history.end_s)]
+        rows = rows[rows[:, 1] - rows[:, 0] > LEAST_STEP * step_s]
         if not len(rows):
             return rows
         reach_s += step_s
