@@ -32,6 +32,7 @@ from slammot_graph.study.store import CellStore
 from slammot_graph.study.study_file import read_study, study_path
 
 N_SEEDS, DASK_SEEDS, QUICK_SEEDS = 20, 5, 1
+QUICK_RATE_HZ = 5.0
 TURNS = (1, N_WORKERS, N_WORKERS, 1)
 """Workers of the runs that are timed, one after the other: what drifts hits both alike."""
 
@@ -110,12 +111,12 @@ def computed(study: str, output: str, way: str) -> Scores:
 
 
 def _study(folder: Path, n_seeds: int, options: Options) -> Path:
-    """Write the package's study with other seeds, in quick mode with its first scenario alone; its path."""
+    """Write the package's study with other seeds, in quick mode with few scans of its first scenario; its path."""
     text = study_path(Path("ablation")).read_text(encoding="utf-8")
     text, n_found = re.subn(r"(?m)^seeds = 20$", f"seeds = {n_seeds}", text)
     assert n_found == 1
     if options.quick:
-        text = text.split("[[scenario]]")[0] + "[[scenario]]" + text.split("[[scenario]]")[1]
+        text = "[[scenario]]".join(text.split("[[scenario]]")[:2]).rstrip() + f"\nrate_hz = {QUICK_RATE_HZ}\n"
     path = folder / f"ablation {n_seeds}.toml"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
