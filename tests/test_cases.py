@@ -18,8 +18,8 @@ from slammot_graph.run import Run
 pytestmark = pytest.mark.cases
 
 
-def run(path: Path) -> RunResult:
-    result = Run(open_log(path)).complete()
+def run(path: Path, max_scans: int | None = None) -> RunResult:
+    result = Run(open_log(path), max_scans=max_scans).complete()
     assert not result.failures
     return result
 
@@ -126,7 +126,7 @@ def test_a_laser_that_looks_backward_is_mended_and_told(cases: Path) -> None:
     ],
 )
 def test_the_cause_is_told(cases: Path, name: str, kind: FindingKind, words: str) -> None:
-    texts = [finding.text for finding in run(cases / name).verdict if finding.kind == kind]
+    texts = [finding.text for finding in run(cases / name, max_scans=40).verdict if finding.kind == kind]
     assert any(re.search(words, text) for text in texts)
 
 
