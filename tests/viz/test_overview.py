@@ -30,7 +30,7 @@ def picture(run: RunResult, path: Path) -> np.ndarray:
 
 
 def n_colors(image: np.ndarray) -> int:
-    return len(np.unique((image[..., :3] * 255).astype(int).reshape(-1, 3), axis=0))
+    return len(np.unique((image[..., :3] * 255).astype(int) @ (1, 256, 65536)))
 
 
 def labels(figure: Figure) -> list[str]:

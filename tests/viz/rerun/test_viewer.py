@@ -179,7 +179,7 @@ def _decoded(png: bytes) -> FloatArray:
 
 
 def _n_colors(picture: FloatArray) -> int:
-    return len(np.unique(np.round(255.0 * picture).astype(np.uint8).reshape(-1, 3), axis=0))
+    return len(np.unique(np.round(255.0 * picture).astype(int) @ (1, 256, 65536)))
 
 
 def _is_colored(picture: FloatArray, rgba: int, tolerance: float = 0.08) -> BoolArray:
