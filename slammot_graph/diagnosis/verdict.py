@@ -343,7 +343,7 @@ def _shift(x_m: Estimated, y_m: Estimated) -> Finding | None:
 
 
 def _clock(offset_s: Estimated) -> Finding | None:
-    if not _is_off(offset_s, 0.0, LEAST_OFFSET_S):
+    if not abs(offset_s.value) > LEAST_OFFSET_S:  # none but a clear one is believed
         return None
     lags = "lags behind" if offset_s.value < 0.0 else "is ahead of"
     return Finding(

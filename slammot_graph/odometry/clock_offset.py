@@ -27,7 +27,7 @@ LEAST_STEP = 0.5
 N_FINE = 5
 """Steps of the grid are refined to so many parts."""
 
-INTERPOLATION_SHARE = 0.1
+INTERPOLATION_SHARE = 0.2
 """Of the time from scan to scan: how far the offset is off where it falls between samples, however many there are."""
 
 

@@ -90,7 +90,7 @@ def test_what_the_calibration_found(
         {"heading_scale": (0.8, 0.1), "distance_scale": (1.02, 0.001), "clock_offset_s": (0.01, 0.001)},
         {"laser_shift_x_m": (0.3, 0.11), "laser_shift_y_m": (0.09, 0.001)},
         {"laser_shift_x_m": (0.3, math.inf), "laser_shift_y_m": (math.nan, math.nan)},
-        {"direction_rad": (3.1, 1.0), "clock_offset_s": (0.2, 0.1)},
+        {"direction_rad": (3.1, 1.0), "clock_offset_s": (0.0, 0.1)},
         {"direction_rad": (math.nan, math.nan), "clock_offset_s": (math.nan, math.nan)},
     ],
 )

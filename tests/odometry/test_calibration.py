@@ -118,7 +118,7 @@ def test_a_clock_offset_is_found(offset_s: float, has_track: bool) -> None:
     for seed in range(3):
         found = calibrated(Faults(offset_s=offset_s), seed=seed, has_track=has_track)
         assert is_near(found.clock_offset_s, offset_s, 0.02)
-        assert found.clock_offset_s.std < 0.02
+        assert 0.02 <= found.clock_offset_s.std < 0.025  # a fifth of the time between scans
         assert found.distance_scale.value == pytest.approx(1.0, abs=0.03)
 
 
