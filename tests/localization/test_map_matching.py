@@ -314,7 +314,9 @@ def test_a_turn_that_the_odometry_made_up_is_taken_back_down_a_corridor(turn_rad
     assert match.contradicts_odometry
     assert max(errors(step, state.T_local_base)) < 0.01
     assert matching.is_agreed(match)
-    assert 0.04 < np.sqrt(state.cov_prior[0, 0]) < 0.4  # wheels have slipped
+    slipped_m = matching.config.slip_lever_m * abs(turn_rad)
+    assert 0.04 < np.sqrt(state.cov_prior[0, 0]) < 0.4
+    assert np.sqrt(state.cov_prior[0, 0]) == pytest.approx(slipped_m, rel=0.1)
 
 
 def test_what_moves_does_not_agree() -> None:
