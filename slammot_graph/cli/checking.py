@@ -94,7 +94,7 @@ def _table(log: "LaserLog", report: "CheckReport") -> Table:
 
 
 def _beams(laser: "LaserModel", n_lasers: int) -> str:
-    view = math.degrees(abs(laser.angle_increment) * (laser.n_beams - 1))
+    view = math.degrees(laser.field_of_view_rad)
     step = math.degrees(abs(laser.angle_increment))
     changes = "" if n_lasers == 1 else f"; the geometry changes {n_lasers - 1} times"
     return f"{laser.n_beams} over {view:.4g} degrees, {step:.3g} degrees apart{changes}"

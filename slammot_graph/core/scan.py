@@ -64,6 +64,11 @@ class LaserModel:
                 f" within {MAX_MOUNTING_M:g} m and yaw [rad]"
             )
 
+    @property
+    def field_of_view_rad(self) -> float:
+        """Between the first and the last beam."""
+        return abs(self.angle_increment) * (self.n_beams - 1)
+
     @cached_property
     def angles_base(self) -> FloatArray:
         """(n_beams,) beam directions in the base frame [rad]."""

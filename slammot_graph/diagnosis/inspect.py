@@ -115,9 +115,7 @@ class ScanStatistics:
     @property
     def field_of_view_rad(self) -> float:
         """Between the first and the last beam; NaN without scans."""
-        if self.laser is None:
-            return math.nan
-        return abs(self.laser.angle_increment) * (self.laser.n_beams - 1)
+        return math.nan if self.laser is None else self.laser.field_of_view_rad
 
     @property
     def n_measured(self) -> int:
@@ -272,10 +270,10 @@ class ScanStatistics:
 
 
 def _of_angles(laser: LaserModel) -> list[Finding]:
-    turns = abs(laser.angle_increment) * (laser.n_beams - 1) / (2.0 * math.pi)
+    view = laser.field_of_view_rad
+    turns = view / (2.0 * math.pi)
     if turns <= FULL_TURN:
         return []
-    view = abs(laser.angle_increment) * (laser.n_beams - 1)
     data = {"field_of_view_rad": view, "angle_increment_rad": laser.angle_increment}
     if view <= FULL_TURN * 360.0:
         return [

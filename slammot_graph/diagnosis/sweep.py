@@ -16,7 +16,7 @@ from scipy.stats import rankdata
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import SlammotError
-from slammot_graph.core.scan import LaserModel, Scan
+from slammot_graph.core.scan import Scan
 from slammot_graph.core.types import FloatArray
 from slammot_graph.diagnosis.inspect import FULL_TURN
 from slammot_graph.diagnosis.mounting import by_laser_alone
@@ -167,13 +167,9 @@ def find_sweeps(log: Iterable[Scan], *, has_own_times: bool = False) -> dict[int
 
 def _may_be_wrong(scan: Scan, *, has_own_times: bool) -> bool:
     """Tell whether a laser looks all round, and no farther, and its beams have no times, or those of a driver."""
-    if not WHOLE_TURN_RAD <= _span_rad(scan.laser) <= 2.0 * math.pi * FULL_TURN:
+    if not WHOLE_TURN_RAD <= scan.laser.field_of_view_rad <= 2.0 * math.pi * FULL_TURN:
         return False
     return scan.beam_times is None or not has_own_times
-
-
-def _span_rad(laser: LaserModel) -> float:
-    return (laser.n_beams - 1) * abs(laser.angle_increment)
 
 
 def _told(scan: Scan) -> Sweep:
@@ -261,7 +257,7 @@ class _Trial:
         self._period_s = float(np.median(steps_s))
         config = get_method("graph-noloop").config
         assert isinstance(config, PipelineConfig)
-        told, span_rad = _told(self._first[0]), _span_rad(self._first[0].laser)
+        told, span_rad = _told(self._first[0]), self._first[0].laser.field_of_view_rad
         self._assumed = [_Assumed(sweep, config) for sweep in _assumptions(told, self._period_s, span_rad)]
         for scan in self._first:
             self._compare(scan)

@@ -56,7 +56,7 @@ def sweep_times(time_increment_s: float, stamps: FloatArray, laser: LaserModel, 
                 f"{told_by} {what}; the beams count as sent out at once: correct the driver or the log",
             )
         )
-    turn_share = min((laser.n_beams - 1) * abs(laser.angle_increment) / (2.0 * math.pi), 1.0)
+    turn_share = min(laser.field_of_view_rad / (2.0 * math.pi), 1.0)
     guessed_s = period_s * turn_share / (laser.n_beams - 1)
     return SweepTimes(
         beam_times=guessed_s * beams,
