@@ -16,7 +16,7 @@ from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.calibration_config import CalibrationConfig
 from slammot_graph.odometry.clock_offset import ClockOffsetSearch
 from slammot_graph.odometry.history import OdometryHistory
-from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise, variances_of
 from slammot_graph.odometry.robust_fit import noise_scale_of, robust_fit, scaled_and_turned, stds_of
 from slammot_graph.odometry.windows import Windows, joined
 
@@ -208,9 +208,8 @@ class SelfCalibration:
         By the mended increments (n, k, 3), and the motion (n, 3) that they make.
         """
         errors = se2.log(se2.between(told, windows.found))
-        variances = (
-            self.noise_variances(increments.reshape(-1, 3)).reshape(*increments.shape[:2], 2).sum(axis=1)
-        )
+        variances = variances_of(self.noise, increments.reshape(-1, 3))
+        variances = variances.reshape(*increments.shape[:2], 2).sum(axis=1)
         own = windows.var
         m2 = np.concatenate([errors[:, 0] ** 2, errors[:, 1] ** 2])
         spread = self.config.noise_scale_std
@@ -218,7 +217,3 @@ class SelfCalibration:
             noise_scale_of(m2, np.tile(variances[:, 0], 2), np.tile(own[:, 0], 2), spread),
             noise_scale_of(errors[:, 2] ** 2, variances[:, 1], own[:, 1], spread),
         )
-
-    def noise_variances(self, increments: FloatArray) -> FloatArray:
-        """(n, 2) variances of the noise model for increments (n, 3): per axis of the translation, and rotation."""
-        return np.array([self.noise.variances(increment) for increment in increments])

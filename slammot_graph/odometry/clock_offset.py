@@ -14,7 +14,7 @@ from slammot_graph.core.odometry_report import Estimated
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.calibration_config import CalibrationConfig
 from slammot_graph.odometry.history import OdometryHistory
-from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
+from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise, variances_of
 from slammot_graph.odometry.robust_fit import long_run_variance, residual_scale, robust_fit, scaled_and_turned
 from slammot_graph.odometry.windows import smoothed_rows, told_increments, usual_step
 
@@ -69,14 +69,14 @@ class ClockOffsetSearch:
         step = self.config.offset_step_s
         n = round(self.config.max_offset_s / step)
         coarse = step * np.arange(-n, n + 1)
-        variances = np.array([self.noise.variances(increment) for increment in rows[:, 2:5]])
-        std = self.config.stds(rows[:, 5:7] + variances)
-        fits = [self._fit(offset, rows, std, history) for offset in coarse]
+        increments = _Increments(rows, history, self.config)
+        std = self.config.stds(rows[:, 5:7] + variances_of(self.noise, rows[:, 2:5]))
+        fits = [increments.fit(offset, std) for offset in coarse]
         k = int(np.argmin([fit.costs.sum() for fit in fits]))
         best, std = coarse[k], np.maximum(fits[k].scales * std, self.config.stds(np.zeros(2)))
 
         def costs_at(offset: float) -> FloatArray:
-            return self._fit(offset, rows, std, history).costs
+            return increments.fit(offset, std).costs
 
         step /= N_FINE
         fine = best + step * np.arange(-N_FINE, N_FINE + 1)
@@ -89,7 +89,7 @@ class ClockOffsetSearch:
         if curvature > 1.0:
             spread = _variance_of_sum((costs_of_rows[k + 1] - costs_of_rows[k - 1]) / (2.0 * step))
             std_s = max(1.0 / math.sqrt(curvature), math.sqrt(spread) / curvature)
-            std_s = math.hypot(std_s, INTERPOLATION_SHARE * usual_step(rows))
+            std_s = math.hypot(std_s, INTERPOLATION_SHARE * increments.step_s)
         # What is left of the smoothing by interpolation favours both signs alike: an offset must beat its opposite too.
         others = (costs_at(other) for other in (0.0, -float(fine[k])))
         if not all(self._is_clear(other - costs_of_rows[k], is_known=is_known) for other in others):
@@ -122,27 +122,6 @@ class ClockOffsetSearch:
         near = np.searchsorted(times, rows[:, 0] - reach_s), np.searchsorted(times, rows[:, 1] + reach_s)
         return np.asarray(rows[near[0] == near[1]])
 
-    def _fit(
-        self, offset: float, rows: FloatArray, std: FloatArray, history: OdometryHistory
-    ) -> "_OffsetFit":
-        """Fit what the odometry tells at a clock offset to the matches, with standard deviations (n, 2) [m, rad]."""
-        u = told_increments(rows[:, 0], rows[:, 1], float(offset), history, spread_s=usual_step(rows))
-        found = rows[:, 2:5]
-        turned = np.column_stack([found[:, 2], np.hypot(found[:, 0], found[:, 1])])
-        heading = robust_fit(turned, u[:, 2], std[:, 1], self.config.heading_prior)
-        told, std_told = np.concatenate([u[:, 0], u[:, 1]]), np.tile(std[:, 0], 2)
-        moved = scaled_and_turned(found)
-        translation = robust_fit(moved, told, std_told, self.config.scale_prior)
-        return _OffsetFit(
-            costs=heading.costs + translation.costs.reshape(2, -1).sum(axis=0),
-            scales=np.array(
-                [
-                    residual_scale((told - moved @ translation.x) / std_told),
-                    residual_scale((u[:, 2] - turned @ heading.x) / std[:, 1]),
-                ]
-            ),
-        )
-
 
 class _OffsetFit(NamedTuple):
     """A fit at a clock offset.
@@ -157,6 +136,40 @@ class _OffsetFit(NamedTuple):
 
     costs: FloatArray
     scales: FloatArray
+
+
+class _Increments:
+    """What the matches found, ready to be fitted to at many clock offsets.
+
+    Attributes
+    ----------
+    step_s : float
+        Usual time of an increment.
+    """
+
+    def __init__(self, rows: FloatArray, history: OdometryHistory, config: CalibrationConfig) -> None:
+        self.step_s = usual_step(rows)
+        self._rows, self._history, self._config = rows, history, config
+        found = rows[:, 2:5]
+        self._turned = np.column_stack([found[:, 2], np.hypot(found[:, 0], found[:, 1])])
+        self._moved = scaled_and_turned(found)
+
+    def fit(self, offset: float, std: FloatArray) -> _OffsetFit:
+        """Fit what the odometry tells at a clock offset to the matches, with standard deviations (n, 2) [m, rad]."""
+        before_s, after_s = self._rows[:, 0], self._rows[:, 1]
+        u = told_increments(before_s, after_s, float(offset), self._history, spread_s=self.step_s)
+        heading = robust_fit(self._turned, u[:, 2], std[:, 1], self._config.heading_prior)
+        told, std_told = np.concatenate([u[:, 0], u[:, 1]]), np.tile(std[:, 0], 2)
+        translation = robust_fit(self._moved, told, std_told, self._config.scale_prior)
+        return _OffsetFit(
+            costs=heading.costs + translation.costs.reshape(2, -1).sum(axis=0),
+            scales=np.array(
+                [
+                    residual_scale((told - self._moved @ translation.x) / std_told),
+                    residual_scale((u[:, 2] - self._turned @ heading.x) / std[:, 1]),
+                ]
+            ),
+        )
 
 
 def _variance_of_sum(series: FloatArray) -> float:

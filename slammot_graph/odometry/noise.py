@@ -100,3 +100,8 @@ class ConstantNoise(Checked):
         """Give the variances [m^2, rad^2], along x for the translation; the (3,) increment does not matter."""
         del increment
         return self.x_std_m**2, self.theta_std_rad**2
+
+
+def variances_of(noise: OdometryNoise | ConstantNoise, increments: FloatArray) -> FloatArray:
+    """(n, 2) variances [m^2, rad^2] of increments (n, 3): of the translation, per axis, and of the rotation."""
+    return np.array([noise.variances(increment) for increment in increments])
