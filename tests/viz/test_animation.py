@@ -14,6 +14,7 @@ from slammot_graph.run_folder.writer import write_run_folder
 from slammot_graph.viz.animation import _Stage, write_animation
 from slammot_graph.viz.colors import track_color
 from tests.rooms import ListLog, drive
+from tests.viz.colours import as_numbers
 
 N_SCANS = 40
 
@@ -65,8 +66,7 @@ def test_the_frames_of_a_gif_are_as_drawn(folder: RunFolder, tmp_path: Path) -> 
     write_animation(folder, log(), path, kind="gif", rows=rows, fps=10.0, tell=told.append)
     assert told == list(range(1, len(rows) + 1))
     stage = _Stage(folder, log_name=log().path.name)
-    as_one = np.array([1, 256, 65536])
-    palette = stage.colors()[:32].astype(int) @ as_one
+    palette = as_numbers(stage.colors()[:32])
     with GifImageFile(path) as image:
         assert image.n_frames == len(rows)
         for number, row in enumerate(rows):
@@ -75,7 +75,7 @@ def test_the_frames_of_a_gif_are_as_drawn(folder: RunFolder, tmp_path: Path) -> 
             drawn = stage.draw(row, log().scans[row]).astype(int)
             off = np.abs(shown - drawn).max(axis=2)
             assert np.mean(off > 40) < 1e-3, "edges of what moves have not all their colours"
-            is_of_palette = np.isin(drawn @ as_one, palette)
+            is_of_palette = np.isin(as_numbers(drawn), palette)
             assert np.mean(off[is_of_palette] > 8) < 1e-3
 
 

@@ -17,6 +17,7 @@ from slammot_graph.core.results import GraphEdge, GridMap, RunResult
 from slammot_graph.viz.colors import COLOR_MOVED, to_hex, track_color
 from slammot_graph.viz.overview import compose_overview, draw_overview
 from tests.rooms import drive
+from tests.viz.colours import as_numbers
 
 
 @cache
@@ -30,7 +31,7 @@ def picture(run: RunResult, path: Path) -> np.ndarray:
 
 
 def n_colors(image: np.ndarray) -> int:
-    return len(np.unique((image[..., :3] * 255).astype(int) @ (1, 256, 65536)))
+    return len(np.unique(as_numbers(image[..., :3] * 255)))
 
 
 def labels(figure: Figure) -> list[str]:

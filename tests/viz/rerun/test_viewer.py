@@ -20,6 +20,7 @@ from slammot_graph.core.types import BoolArray, FloatArray
 from slammot_graph.viz import colors
 from slammot_graph.viz.rerun import cells
 from slammot_graph.viz.rerun.primitives import viewer_executable
+from tests.viz.colours import as_numbers
 from tests.walkers import write_walkers
 
 N_SCANS = 170
@@ -179,7 +180,7 @@ def _decoded(png: bytes) -> FloatArray:
 
 
 def _n_colors(picture: FloatArray) -> int:
-    return len(np.unique(np.round(255.0 * picture).astype(int) @ (1, 256, 65536)))
+    return len(np.unique(as_numbers(np.round(255.0 * picture))))
 
 
 def _is_colored(picture: FloatArray, rgba: int, tolerance: float = 0.08) -> BoolArray:
