@@ -16,6 +16,8 @@ from slammot_graph.detection.ellipse_detector import EllipseDetectorConfig, Loca
 from slammot_graph.detection.ellipse_test import EllipseTestConfig
 from slammot_graph.localization import ScanToMapConfig
 from slammot_graph.mapping.occupancy_grid import NoReturnConfig
+from slammot_graph.odometry.adaptive import AdaptiveOdometryConfig
+from slammot_graph.odometry.doubt import DoubtConfig
 from slammot_graph.pipeline import Pipeline, PipelineConfig
 from slammot_graph.simulation import simulate
 from slammot_graph.tracking.tracker import KalmanTrackerConfig
@@ -95,7 +97,7 @@ def test_open_space_that_returned_nothing_counts_as_free() -> None:
 
 
 def test_a_doubtful_pose_calls_nothing_moving() -> None:
-    """The odometry jumps by 0.12 m, beyond the innovation's covariance, which nothing stretches."""
+    """The odometry jumps by 0.12 m, beyond the innovation's covariance, which nothing stretches, no doubt either."""
     log, jump = drive(50), np.array([0.12, 0.0, 0.0])
     before = odometry_of(log.scans[32])
     T_after_before = se2.compose(before, se2.compose(jump, se2.inverse(before)))
@@ -106,7 +108,9 @@ def test_a_doubtful_pose_calls_nothing_moving() -> None:
     for nis in (15.0, 1e9):
         config = PipelineConfig(
             detector=EllipseDetectorConfig(retest=RetestConfig(abstain_nis=nis)),
-            localizer=ScanToMapConfig(min_tail_nis=1e9),
+            localizer=ScanToMapConfig(
+                min_tail_nis=1e9, odometry=AdaptiveOdometryConfig(doubt=DoubtConfig(begin_sigmas=1e9))
+            ),
         )
         pipeline = Pipeline(config)
         found[nis] = [pipeline.step(scan) for scan in log]

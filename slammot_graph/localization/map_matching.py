@@ -172,10 +172,10 @@ class MapMatching:
         if match.status == "failed" or match.nis < self.config.min_tail_nis:
             return True
         arms = match.innovation * (1.0, 1.0, self.config.tail_lever_m)
-        whole = match.n_correspondences * match.inlier_ratio * float(arms @ arms)
-        told = float(match.innovation @ match.hessian_information @ match.innovation)
-        told *= self.config.point_to_line.residual_std_m**2
-        return told >= self.config.min_tail_share * whole
+        whole = match.n_correspondences * match.inlier_ratio * (arms @ arms)
+        told = match.innovation @ match.hessian_information @ match.innovation
+        std = self.config.point_to_line.residual_std_m
+        return bool(std * std * told >= self.config.min_tail_share * whole)
 
     def _against_prediction(
         self,
@@ -253,27 +253,31 @@ class MapMatching:
     def _without_company(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
     ) -> tuple[BoolArray, Match]:
-        """Leave out small things that alone pull the match away from the odometry; gives the points used, too."""
+        """Leave out small things that alone pull the match from the odometry, or tell of a way in doubt.
+
+        Gives the points used, too.
+        """
         company, match = self._company, matched.result
         if company is None or not self._recent.has_odometry or match.status == "failed":
             return is_static, matched
-        config = company.config
-        company.walks_along = None
-        if not match.nis >= config.min_nis:
+        config, company.walks_along = company.config, None
+        told_share = match.told_share(self.config.point_to_line.residual_std_m)
+        is_unsure = start.is_unsure(told_share, self.config.min_tail_share)
+        if not (is_unsure or match.nis >= config.min_nis):
             return is_static, matched
         is_suspect = company.suspects(self.local_map, points_base, is_static, matched.T_a_base)
         if is_suspect is None:
             return is_static, matched
         rest = is_static & ~is_suspect
         without = self._match_from(points_base, rest, start)
-        if not company.is_likely(match, without.result, self._static_share):
+        is_company = is_unsure and without.result.status != "failed"
+        if not is_company and company.is_likely(match, without.result, self._static_share):
+            there = self.agreement_at(points_base, rest, matched.T_a_base)
+            is_company = there <= without.result.inlier_ratio + config.agreement_margin
+        if not is_company:
             return is_static, matched
-        there = self.agreement_at(points_base, rest, matched.T_a_base)
-        if there > without.result.inlier_ratio + config.agreement_margin:
-            return is_static, matched
-        if company.is_crowd(self._static_share):
-            company.walks_along = is_suspect
-        else:
+        company.walks_along = is_suspect
+        if not (is_unsure or company.is_crowd(self._static_share)):
             poses = matched.T_a_base, without.T_a_base
             company.walks_along = company.pulling(self.local_map, points_base, is_suspect, *poses)
         return rest, without

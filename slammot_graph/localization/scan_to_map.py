@@ -271,6 +271,7 @@ class ScanToMap:
                 and self.matching.is_supported(match)
             ),
             is_elsewhere=self.matching.is_elsewhere,
+            told_share=match.told_share(self.config.point_to_line.residual_std_m),
         )
 
     def _look_for_loss(

@@ -28,6 +28,7 @@ from slammot_graph.odometry.deskew import (
     sweep_along,
     sweep_at_velocity,
 )
+from slammot_graph.odometry.doubt import DoubtConfig
 from slammot_graph.odometry.history import OdometryHistory
 from slammot_graph.odometry.innovation_noise import InnovationNoise, InnovationNoiseConfig
 from slammot_graph.odometry.motion import MatchedPose, Motion
@@ -48,6 +49,7 @@ class AdaptiveOdometryConfig(Checked):
     calibration : CalibrationConfig
     previous_motion : PreviousMotionConfig
     innovation_noise : InnovationNoiseConfig
+    doubt : DoubtConfig
     max_acceleration_m_s2, max_acceleration_rad_s2 : float
         No robot changes its velocity faster: an increment of the odometry is wrong that asks for more after the motion
         before, and after the latest increment that was not wrong.
@@ -78,6 +80,7 @@ class AdaptiveOdometryConfig(Checked):
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     previous_motion: PreviousMotionConfig = field(default_factory=PreviousMotionConfig)
     innovation_noise: InnovationNoiseConfig = field(default_factory=InnovationNoiseConfig)
+    doubt: DoubtConfig = field(default_factory=DoubtConfig)
     max_acceleration_m_s2: Positive = 10.0
     max_acceleration_rad_s2: Positive = 30.0
     error_gain: PositiveShare = 0.1
@@ -119,7 +122,7 @@ class AdaptiveOdometry:
         self._scan_before: Scan | None = None
         self._scan_s = 0.0
         self._history = OdometryHistory()
-        self._record = PredictionRecord()
+        self._record = PredictionRecord(config.doubt)
         self._located: dict[int, Located] = {}
 
     def advance(self, scan: Scan) -> Motion | None:
@@ -140,16 +143,21 @@ class AdaptiveOdometry:
                 told_own = self._by_odometry(own.time_s, self._scan_s)
             elapsed_s = max(self._scan_s - start_s, 0.0)
         record.start_scan(told_own, self.previous.increment(history.clock))
-        is_possible = told_own is None or not history.clock.is_steady or self._is_possible(told_own)
-        if told is not None and is_possible and self.source == "odometry":
-            motion = told
-        else:
-            motion = self.previous.motion(history.clock, elapsed_s)
+        is_possible = (
+            told_own is None
+            or not history.clock.is_steady
+            or self._can_follow(told_own.increment, record.told_possible)
+        )
+        is_comparable = is_possible and history.clock.is_steady and told_own is told
+        record.doubt.start_scan(told, record.previous, history.clock.step_s, is_comparable=is_comparable)
+        is_used = is_possible and self.source == "odometry" and not record.doubt.is_dead
+        used = record.doubt.widened(told) if told is not None and is_used else None
+        motion = used or self.previous.motion(history.clock, elapsed_s)
         if not is_possible:
             self.calibration.exclude(self._scan_s + self.calibration.now.clock_offset_s.value)
-        record.count(use_odometry=motion is told, is_possible=is_possible)
+        record.count(use_odometry=used is not None, is_possible=is_possible)
         if before.imu_yaw is not None and scan.imu_yaw is not None:
-            motion = _turned(motion, scan.imu_yaw - before.imu_yaw, self.config.imu_std_rad)
+            motion = motion.turned(scan.imu_yaw - before.imu_yaw, self.config.imu_std_rad)
         self.T_odom_base = se2.compose(self.T_odom_base, motion.increment)
         return motion
 
@@ -176,10 +184,9 @@ class AdaptiveOdometry:
             and record.agreement.values[0] < self.config.min_agreement_to_stay
         ):
             self.source = "odometry"
-        if match is not None and match.is_elsewhere and record.is_odometry_used:
-            self.source = "previous motion"  # nothing explains the scan where the odometry leads
         if match is None:
             self.previous.miss()
+            record.doubt.end()
         scan = self._scan_before
         laser = 0 if scan is None else scan.laser.number
         before = self._located.get(laser)
@@ -290,16 +297,15 @@ class AdaptiveOdometry:
         share = min(ahead_s / max(sweep.last_s - sweep.first_s, MIN_SWEEP_S), 1.0)
         return replace(sweep, cov_velocity=sweep.cov_velocity + share**2 * self.previous.cov_velocity)
 
-    def _is_possible(self, told: Motion) -> bool:
-        """Tell whether a robot can have made a motion, given the one that it made before.
+    def _can_follow(self, increment: FloatArray, other: FloatArray | None) -> bool:
+        """Tell whether a robot can have made an increment (3,), given that before by the matches, or another one (3,).
 
-        By the matches or by the odometry: of two that differ at once the one that has gone on as before is not wrong.
+        Of two that differ at once the one that has gone on as before is not wrong.
         """
-        time_s2 = self._history.clock.step_s**2
-        before = self._record.told_possible
-        if self._is_possible_change(told.increment - self._record.previous, time_s2):
-            return True
-        return before is not None and self._is_possible_change(told.increment - before, time_s2)
+        time_s2, previous = self._history.clock.step_s**2, self._record.previous
+        return self._is_possible_change(increment - previous, time_s2) or (
+            other is not None and self._is_possible_change(increment - other, time_s2)
+        )
 
     def _is_possible_change(self, change: FloatArray, time_s2: float) -> bool:
         """Tell whether a motion can differ so (3,) from the one at the velocity before."""
@@ -313,12 +319,21 @@ class AdaptiveOdometry:
         return self.config.max_acceleration_m_s2 * time_s2 + 0.05
 
     def _learn(self, T_before: FloatArray, match: MatchedPose) -> None:
-        """Let the previous motion learn from a match, and judge both predictions by one that is reliable."""
-        found = np.empty(3)
+        """Let the previous motion learn from a match, and judge both predictions by one that is reliable.
+
+        What leaps as no robot does, away from both, tells of no motion: the pose before was wrong, or this one is.
+        """
+        found, record = np.empty(3), self._record
         relative(T_before, match.T_local_base, found)
-        if match.is_reliable and self._record.told is not None and self._record.is_possible:
-            self._compare(self._record.told, found, match)
-        self.previous.learn(found, match.cov, self._history.clock)
+        is_leap = record.told is not None and not self._can_follow(found, record.told.increment)
+        if match.is_elsewhere and record.is_odometry_used and not is_leap:
+            self.source = "previous motion"  # nothing explains the scan where the odometry leads
+        if record.told is not None:
+            record.doubt.learn(record.told.increment, found, match)
+            if match.is_reliable and record.is_possible:
+                self._compare(record.told, found, match)
+        if not is_leap:
+            self.previous.learn(found, match.cov, self._history.clock)
 
     def _compare(self, told: Motion, found: FloatArray, match: MatchedPose) -> None:
         """Judge both predictions by the increment (3,) that a match found."""
@@ -376,12 +391,3 @@ def _scaling(scale_m: float, scale_rad: float) -> FloatArray:
     factors = np.array([[mm, mm, mr], [mm, mm, mr], [mr, mr, rr]])
     factors.setflags(write=False)
     return factors
-
-
-def _turned(motion: Motion, turn_rad: float, std_rad: float) -> Motion:
-    """Take the turn of a motion from the IMU."""
-    increment, cov = motion.increment.copy(), motion.cov.copy()
-    increment[2] = turn_rad
-    cov[2, :] = cov[:, 2] = 0.0
-    cov[2, 2] = std_rad * std_rad
-    return Motion(increment=increment, cov=cov)

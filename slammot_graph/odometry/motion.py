@@ -2,7 +2,17 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from slammot_graph.core.types import FloatArray
+
+NO_DOUBT: FloatArray = np.zeros(2)
+NO_DOUBT.setflags(write=False)
+"""The motion is not in doubt in any direction."""
+
+ALL_TOLD: FloatArray = np.eye(2)
+ALL_TOLD.setflags(write=False)
+"""All returns tell of all directions."""
 
 
 class Motion(NamedTuple):
@@ -14,10 +24,21 @@ class Motion(NamedTuple):
         The base in its own frame at the scan before [m, m, rad].
     cov : (3, 3) array
         Its covariance, right perturbation (body frame).
+    doubt : (2,) array
+        Direction in which the way is in doubt, body frame; zero: in none.
     """
 
     increment: FloatArray
     cov: FloatArray
+    doubt: FloatArray = NO_DOUBT
+
+    def turned(self, turn_rad: float, std_rad: float) -> "Motion":
+        """Take the turn from elsewhere, as an IMU."""
+        increment, cov = self.increment.copy(), self.cov.copy()
+        increment[2] = turn_rad
+        cov[2, :] = cov[:, 2] = 0.0
+        cov[2, 2] = std_rad * std_rad
+        return self._replace(increment=increment, cov=cov)
 
 
 class MatchedPose(NamedTuple):
@@ -37,6 +58,8 @@ class MatchedPose(NamedTuple):
         All directions are determined and most points agree: fit to calibrate with.
     is_elsewhere : bool
         It was found from another start than the prediction, and most of the returns agree with it alone.
+    told_share : (2, 2) array
+        Share of the agreeing returns that tell of a direction d of the body frame: ``d' told_share d``.
     """
 
     T_local_base: FloatArray
@@ -45,3 +68,4 @@ class MatchedPose(NamedTuple):
     agreement: float
     is_reliable: bool
     is_elsewhere: bool = False
+    told_share: FloatArray = ALL_TOLD

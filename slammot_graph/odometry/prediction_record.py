@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slammot_graph.core.types import FloatArray
+from slammot_graph.odometry.doubt import DoubtConfig, OdometryDoubt
 from slammot_graph.odometry.motion import MatchedPose, Motion
 
 N_BEFORE = 2
@@ -23,7 +24,8 @@ class Located(NamedTuple):
 class PredictionRecord:
     """What was predicted for the latest scan, and how well both predictions did so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, doubt: DoubtConfig) -> None:
+        self.doubt = OdometryDoubt(doubt)
         self.n_by_odometry = 0
         self.n_by_previous = 0
         self.n_impossible = 0

@@ -16,7 +16,7 @@ from slammot_graph.core.sweep import SweepMotion
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.deskew import beam_times_of, knot_times, sweep_at_velocity, sweep_by_track
 from slammot_graph.odometry.history import ScanClock
-from slammot_graph.odometry.motion import MatchedPose, Motion
+from slammot_graph.odometry.motion import NO_DOUBT, MatchedPose, Motion
 from slammot_graph.odometry.noise import ConstantNoise, OdometryNoise
 
 
@@ -145,6 +145,8 @@ class MotionState(NamedTuple):
         Of the odometry's motion since the last keyframe.
     cov_motion : (3, 3) array
         Of the motion since the scan before, which is part of all of them but `cov_correlated`.
+    doubt : (2,) array
+        Direction in which that motion is in doubt, body frame; zero: in none.
     """
 
     T_local_base: FloatArray
@@ -153,6 +155,7 @@ class MotionState(NamedTuple):
     cov_correlated: FloatArray
     cov_odometry: FloatArray
     cov_motion: FloatArray
+    doubt: FloatArray = NO_DOUBT
 
     @property
     def cov_relative(self) -> FloatArray:
@@ -172,7 +175,12 @@ class MotionState(NamedTuple):
             self.cov_correlated,
             covs[2],
             motion.cov,
+            motion.doubt,
         )
+
+    def is_unsure(self, told_share: FloatArray, least: float) -> bool:
+        """Tell whether fewer returns than the least share tell of a way in doubt; `told_share` (2, 2), body frame."""
+        return bool(self.doubt.any() and self.doubt @ told_share @ self.doubt < least)
 
     def loosened(self, extra: FloatArray) -> "MotionState":
         """Trust the motion since the scan before less, by an extra covariance (3, 3) (body frame)."""
@@ -238,10 +246,7 @@ class Propagation:
 
         What the matches share is that of the latest one that succeeded, so it stays.
         """
-        T_local_base, cov_prior, cov_independent, _, cov_odometry, cov_motion = self.predicted
-        self.state = MotionState(
-            T_local_base, cov_prior, cov_independent, self.state.cov_correlated, cov_odometry, cov_motion
-        )
+        self.state = self.predicted._replace(cov_correlated=self.state.cov_correlated)
         return self.state
 
     def start_keyframe(self) -> None:

@@ -45,6 +45,8 @@ class Drive:
     has_odometry : (n + 1,) bools
     agreement : (n + 1,) array
         Of the matches.
+    elsewhere : set of int
+        Scans whose matches were found from another start than the prediction.
     """
 
     steps: FloatArray
@@ -52,6 +54,7 @@ class Drive:
     has_odometry: list[bool] = field(default_factory=list)
     agreement: FloatArray = field(default_factory=lambda: np.zeros(0))
     imu: bool = False
+    elsewhere: frozenset[int] = frozenset()
     motions: list[Motion | None] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
     is_contradicted: list[bool] = field(default_factory=list)
@@ -88,6 +91,7 @@ class Drive:
                 cov_independent=np.diag(STD**2),
                 agreement=float(agreement[k]),
                 is_reliable=True,
+                is_elsewhere=k in self.elsewhere,
             )
             model.correct(T_matched, match)
         return model
@@ -136,6 +140,49 @@ def test_odometry_that_goes_on_as_before_is_used_though_a_match_leaps() -> None:
     assert not any(drive.is_contradicted)
     np.testing.assert_allclose(drive.predicted(), steps, atol=1e-9)
     assert model.report().n_contradictions == 0
+
+
+def test_a_match_from_elsewhere_that_leaps_as_no_robot_does_is_not_the_odometrys_fault() -> None:
+    """The pose before was wrong, or this one is: neither tells of another motion."""
+    steps = true_steps(100)
+    found = steps.copy()
+    found[59, 0] -= 0.8
+    drive = Drive(steps, steps, elsewhere=frozenset({60}))
+    model = drive.run(found=found)
+    assert set(drive.sources) == {"odometry"}
+    assert not any(drive.is_contradicted)
+    assert abs(model.previous.velocity.value[0]) < 1.0  # not 8 m/s backward
+
+
+def test_a_match_from_elsewhere_within_reach_leaves_the_odometry() -> None:
+    steps = true_steps(100)
+    found = steps.copy()
+    found[59, 0] -= 0.1
+    drive = Drive(steps, steps, elsewhere=frozenset({60}))
+    drive.run(found=found)
+    assert drive.is_contradicted[61]
+
+
+def test_wheels_that_stick_at_once_leave_the_way_unsure() -> None:
+    """Their motion is used as told, and is as unsure as it is apart from that before."""
+    steps = np.tile([0.05, 0.0, 0.0], (100, 1))
+    told = steps.copy()
+    told[60:63] = 0.0
+    model = AdaptiveOdometry(OdometryNoise(), UNCALIBRATED)
+    T_odom = np.zeros(3)
+    variances = list[float]()
+    for k in range(101):
+        T_odom = T_odom if k == 0 else se2.compose(T_odom, told[k - 1])
+        motion = model.advance(
+            Scan(index=k, stamp=0.1 * k, ranges=np.full(2, np.inf), laser=LASER, T_odom_base=T_odom)
+        )
+        variances.append(0.0 if motion is None else float(motion.cov[0, 0]))
+        T = path_of(steps[:k])
+        cov = np.diag((1e-4 if k < 50 else 4.0, 1e-6, 1e-6))  # into a bare corridor
+        match = MatchedPose(T, cov, cov, 0.9, is_reliable=False, told_share=0.0 * cov[:2, :2])
+        model.correct(T, match)
+    assert sum(variances[61:64]) == pytest.approx(0.15**2, rel=0.05)
+    assert max(variances[20:61] + variances[64:]) < 1e-3
 
 
 def test_a_robot_comes_off_the_motion_that_the_odometry_tells_by_what_its_acceleration_allows() -> None:
