@@ -76,13 +76,14 @@ class OdometryDoubt:
         self._velocity: FloatArray | None = None
         self._step: FloatArray = np.zeros(2)
         self._step_s = 0.0
-        self._way_unmoved: FloatArray = np.zeros(2)
+        self._stood_at: FloatArray | None = None
+        self._way_unmoved_m = 0.0
         self._has_moved = self._may_be_dead = False
 
     @property
     def is_dead(self) -> bool:
         """Whether the odometry repeats its pose while the robot moves."""
-        return math.hypot(*self._way_unmoved) > self.config.dead_way_m
+        return self._way_unmoved_m > self.config.dead_way_m
 
     def start_scan(
         self, told: Motion | None, previous: FloatArray, step_s: float, *, is_comparable: bool = True
@@ -103,7 +104,8 @@ class OdometryDoubt:
         self._step = np.zeros(2)
         self._step_s = step_s
         if told is not None and told.increment.any():
-            self._way_unmoved, self._has_moved, self._may_be_dead = np.zeros(2), True, False
+            self._stood_at, self._way_unmoved_m = None, 0.0
+            self._has_moved, self._may_be_dead = True, False
         if told is None or not is_comparable or step_s <= 0.0:
             self.end()
             return
@@ -146,7 +148,9 @@ class OdometryDoubt:
     def learn(self, told: FloatArray, found: FloatArray, match: MatchedPose) -> None:
         """Let a match decide that found a motion (3,) where the odometry told of another (3,)."""
         if match.is_reliable and not told.any():
-            self._way_unmoved = self._way_unmoved + found[:2]
+            at = match.T_local_base[:2]
+            self._stood_at = at if self._stood_at is None else self._stood_at
+            self._way_unmoved_m = math.hypot(*(at - self._stood_at))
             if not self._has_moved:
                 squared = float(found[:2] @ np.linalg.solve(match.cov[:2, :2], found[:2]))
                 self._may_be_dead |= squared > self.config.moved_sigmas**2

@@ -16,14 +16,18 @@ STEP_S, SPEED_M_S, STD_M = 0.1, 0.5, 0.002
 COV: FloatArray = np.diag(np.square((STD_M, STD_M, 0.001)))
 GOES_ON: FloatArray = np.array([SPEED_M_S * STEP_S, 0.0, 0.0])
 
+ORIGIN: FloatArray = np.zeros(3)
+
 
 def told(increment: FloatArray) -> Motion:
     return Motion(increment=increment, cov=COV)
 
 
-def found_by(std_m: float, told_share: FloatArray = ALL_TOLD, std_y_m: float = 0.001) -> MatchedPose:
+def found_by(
+    std_m: float, told_share: FloatArray = ALL_TOLD, std_y_m: float = 0.001, at: FloatArray = ORIGIN
+) -> MatchedPose:
     cov = np.diag(np.square((std_m, std_y_m, 0.001)))
-    return MatchedPose(np.zeros(3), cov, cov, 0.9, is_reliable=True, told_share=told_share)
+    return MatchedPose(at, cov, cov, 0.9, is_reliable=True, told_share=told_share)
 
 
 def driven(n: int = 60, seed: int = 0) -> OdometryDoubt:
@@ -104,8 +108,8 @@ def test_odometry_that_repeats_its_pose_while_the_matches_move_is_dead_until_it_
     for k in range(20):
         check.start_scan(still, GOES_ON, STEP_S)
         check.widened(still)
-        assert check.is_dead is (k > 10)
-        check.learn(still.increment, GOES_ON, found_by(0.005))
+        assert check.is_dead is (k > 11)
+        check.learn(still.increment, GOES_ON, found_by(0.005, at=k * GOES_ON))
     check.start_scan(told(GOES_ON), GOES_ON, STEP_S)
     assert not check.is_dead
 
@@ -114,7 +118,8 @@ def test_a_robot_that_stands_has_no_dead_odometry() -> None:
     check, still, rng = driven(), told(np.zeros(3)), np.random.default_rng(2)
     for _ in range(500):
         check.start_scan(still, np.zeros(3), STEP_S)
-        check.learn(still.increment, rng.normal(0.0, 0.005, 3), found_by(0.005))
+        beside = np.array([0.01, 0.0, 0.0]) + rng.normal(0.0, 0.005, 3)  # as the wheels hold the pose
+        check.learn(still.increment, beside, found_by(0.005, at=beside))
         assert not check.is_dead
 
 
