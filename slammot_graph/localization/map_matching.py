@@ -261,8 +261,8 @@ class MapMatching:
         if company is None or not self._recent.has_odometry or match.status == "failed":
             return is_static, matched
         config, company.walks_along = company.config, None
-        told_share = match.told_share(self.config.point_to_line.residual_std_m)
-        is_unsure = start.is_unsure(told_share, self.config.min_tail_share)
+        std_m, least = self.config.point_to_line.residual_std_m, self.config.min_tail_share
+        is_unsure = start.is_unsure(match, std_m, least)
         if not (is_unsure or match.nis >= config.min_nis):
             return is_static, matched
         is_suspect = company.suspects(self.local_map, points_base, is_static, matched.T_a_base)

@@ -13,7 +13,7 @@ import numpy as np
 
 from slammot_graph.core.checks import Checked, Positive, PositiveShare, Share
 from slammot_graph.core.types import FloatArray
-from slammot_graph.odometry.motion import MatchedPose, Motion
+from slammot_graph.odometry.motion import NO_DOUBT, MatchedPose, Motion
 
 USUAL_GAIN = 0.5
 """Weight of the latest velocity in the usual one."""
@@ -73,8 +73,8 @@ class OdometryDoubt:
         self.is_in_doubt = False
         self.apart_m = 0.0
         self._var_change = config.first_change_m_s**2
-        self._velocity: FloatArray | None = None
-        self._step: FloatArray = np.zeros(2)
+        self._velocity: tuple[float, float] | None = None
+        self._step: FloatArray = NO_DOUBT
         self._step_s = 0.0
         self._stood_at: FloatArray | None = None
         self._way_unmoved_m = 0.0
@@ -101,32 +101,36 @@ class OdometryDoubt:
             Its velocity can be compared with that before: not where another laser's scan lies between, where the
             stamps are not steady, or where no robot moves so.
         """
-        self._step = np.zeros(2)
-        self._step_s = step_s
+        self._step, self._step_s = NO_DOUBT, step_s
         if told is not None and told.increment.any():
             self._stood_at, self._way_unmoved_m = None, 0.0
             self._has_moved, self._may_be_dead = True, False
         if told is None or not is_comparable or step_s <= 0.0:
             self.end()
             return
-        config, velocity, usual = self.config, told.increment[:2] / step_s, self._velocity
-        if usual is None:
-            self._velocity = velocity
+        config, (x, y, _) = self.config, told.increment.tolist()
+        x, y = x / step_s, y / step_s
+        if self._velocity is None:
+            self._velocity = x, y
             return
-        change2 = _norm2(velocity - usual)
+        usual_x, usual_y = self._velocity
+        change2 = (x - usual_x) ** 2 + (y - usual_y) ** 2
         var = self._var_change + (config.usual_acceleration_m_s2 * step_s) ** 2
         if self.is_in_doubt:
             self.is_in_doubt = change2 >= config.end_sigmas**2 * var
         else:
-            by_matches, most2 = previous[:2] / step_s, config.clip**2 * self._var_change
-            was_right = _norm2(by_matches - usual) < _norm2(by_matches - velocity)
+            by_matches_x, by_matches_y = previous[0] / step_s, previous[1] / step_s
+            was_right = math.hypot(by_matches_x - usual_x, by_matches_y - usual_y) < math.hypot(
+                by_matches_x - x, by_matches_y - y
+            )
             self.is_in_doubt = was_right and change2 > config.begin_sigmas**2 * var
+            most2 = config.clip**2 * self._var_change
             self._var_change += config.gain * (min(change2, most2) - self._var_change)
             self.apart_m = 0.0
         if self.is_in_doubt:
-            self._step = (velocity - usual) * step_s
+            self._step = np.array([(x - usual_x) * step_s, (y - usual_y) * step_s])
         else:
-            self._velocity = usual + USUAL_GAIN * (velocity - usual)
+            self._velocity = usual_x + USUAL_GAIN * (x - usual_x), usual_y + USUAL_GAIN * (y - usual_y)
 
     def end(self) -> None:
         """Begin anew, as after a scan that was not matched: how fast the robot was is not known any more."""
@@ -134,12 +138,12 @@ class OdometryDoubt:
 
     def widened(self, told: Motion) -> Motion:
         """Give the odometry's motion with what a doubt adds to its covariance."""
-        step_m = math.hypot(*self._step)
         if self._may_be_dead:
             std = self.config.first_change_m_s * self._step_s
             return told._replace(cov=told.cov + std * std * np.eye(3))
-        if step_m == 0.0:
+        if self._step is NO_DOUBT:
             return told
+        step_m = math.hypot(*self._step)
         before_m, self.apart_m = self.apart_m, self.apart_m + step_m
         along, cov = self._step / step_m, told.cov.copy()
         cov[:2, :2] += (self.apart_m**2 - before_m**2) * np.outer(along, along)
@@ -154,9 +158,9 @@ class OdometryDoubt:
             if not self._has_moved:
                 squared = float(found[:2] @ np.linalg.solve(match.cov[:2, :2], found[:2]))
                 self._may_be_dead |= squared > self.config.moved_sigmas**2
-        step_m = math.hypot(*self._step)
-        if step_m == 0.0:
+        if self._step is NO_DOUBT:
             return
+        step_m = math.hypot(*self._step)
         along = self._step / step_m
         if float(along @ match.told_share @ along) < self.config.min_told_share:
             return
@@ -164,7 +168,3 @@ class OdometryDoubt:
         self.apart_m *= math.sqrt(var / (self.apart_m**2 + var))
         if step_m > self.config.decide_sigmas * math.sqrt(var):
             self.is_in_doubt = abs(float(along @ (found - told)[:2])) > 0.5 * step_m
-
-
-def _norm2(vector: FloatArray) -> float:
-    return float(vector @ vector)
