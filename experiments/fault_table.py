@@ -124,6 +124,11 @@ ROWS = (
         test="tests/localization/test_map_matching.py -k made_up",
     ),
     Row(
+        fault="odometry that sticks, dies, never moves or counts backward",
+        outcome="the laser decides, told as a contradiction; in a bare corridor the way is as unsure as both are apart",
+        test="tests/odometry/test_doubt.py tests/test_pipeline_odometry.py",
+    ),
+    Row(
         fault="an observer of one's own fails",
         outcome="the run ends, its results are kept",
         test="tests/test_observer.py -k fails or begin",
