@@ -76,9 +76,9 @@ class MatchResult:
     walks_along: BoolArray | None = None
 
     def told_share(self, residual_std_m: float) -> FloatArray:
-        """Share of the agreeing returns that tell of a direction d of the body frame: ``d' told_share d``, (2, 2).
+        """Share of the agreeing returns that tell of a unit vector d of the body frame: ``d' told_share d``, (3, 3).
 
         `residual_std_m` is what the match was made with.
         """
         n_agreeing = max(self.n_correspondences * self.inlier_ratio, 1.0)
-        return np.asarray(self.hessian_information[:2, :2] * (residual_std_m * residual_std_m / n_agreeing))
+        return np.asarray(self.hessian_information * (residual_std_m * residual_std_m / n_agreeing))

@@ -165,17 +165,19 @@ class MapMatching:
         return is_determined and self._elsewhere is not None
 
     def is_supported(self, match: MatchResult) -> bool:
-        """Tell whether enough returns tell of the direction in which a match differs from its prediction.
+        """Tell whether enough returns tell of the direction in which a match differs from its prediction."""
+        is_likely = match.status == "failed" or match.nis < self.config.min_tail_nis
+        return is_likely or self._is_told(match, match.innovation)
 
-        Down a bare corridor all but a few agree with any pose along it, and those may be on a person who walks ahead.
-        """
-        if match.status == "failed" or match.nis < self.config.min_tail_nis:
-            return True
-        arms = match.innovation * (1.0, 1.0, self.config.tail_lever_m)
-        whole = match.n_correspondences * match.inlier_ratio * (arms @ arms)
-        told = match.innovation @ match.hessian_information @ match.innovation
-        std = self.config.point_to_line.residual_std_m
-        return bool(std * std * told >= self.config.min_tail_share * whole)
+    def is_unsure(self, match: MatchResult, doubt: FloatArray) -> bool:
+        """Tell whether too few returns tell of the way in a direction (2,) in which it is in doubt, body frame."""
+        return bool(doubt.any()) and not self._is_told(match, np.append(doubt, 0.0))
+
+    def _is_told(self, match: MatchResult, direction: FloatArray) -> bool:
+        """Down a bare corridor all but a few agree with any pose along it; those may be on who walks ahead."""
+        arms = direction * (1.0, 1.0, self.config.tail_lever_m)
+        told = direction @ match.told_share(self.config.point_to_line.residual_std_m) @ direction
+        return bool(told >= self.config.min_tail_share * (arms @ arms))
 
     def _against_prediction(
         self,
@@ -253,16 +255,12 @@ class MapMatching:
     def _without_company(
         self, points_base: FloatArray, is_static: BoolArray, matched: Match, start: MotionState
     ) -> tuple[BoolArray, Match]:
-        """Leave out small things that alone pull the match from the odometry, or tell of a way in doubt.
-
-        Gives the points used, too.
-        """
+        """Leave out small things that alone pull the match or tell of a way in doubt; gives the points used."""
         company, match = self._company, matched.result
         if company is None or not self._recent.has_odometry or match.status == "failed":
             return is_static, matched
         config, company.walks_along = company.config, None
-        std_m, least = self.config.point_to_line.residual_std_m, self.config.min_tail_share
-        is_unsure = start.is_unsure(match, std_m, least)
+        is_unsure = self.is_unsure(match, start.doubt)
         if not (is_unsure or match.nis >= config.min_nis):
             return is_static, matched
         is_suspect = company.suspects(self.local_map, points_base, is_static, matched.T_a_base)

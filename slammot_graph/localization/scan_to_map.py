@@ -25,7 +25,7 @@ from slammot_graph.localization.scan_poses import ScanPoses
 from slammot_graph.localization.sweep_estimate import SweepEnd, SweepEstimate
 from slammot_graph.loop_closure import LoopCloser
 from slammot_graph.mapping.local_map import NO_NODE, LocalMap, make_keyframe
-from slammot_graph.odometry.motion import ALL_TOLD, MatchedPose
+from slammot_graph.odometry.motion import MatchedPose
 from slammot_graph.odometry.propagation import MotionModel, Propagation
 
 
@@ -271,11 +271,7 @@ class ScanToMap:
                 and self.matching.is_supported(match)
             ),
             is_elsewhere=self.matching.is_elsewhere,
-            told_share=(
-                match.told_share(self.config.point_to_line.residual_std_m)
-                if self.propagation.predicted.doubt.any()
-                else ALL_TOLD
-            ),
+            is_told=not self.matching.is_unsure(match, self.propagation.predicted.doubt),
         )
 
     def _look_for_loss(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slammot_graph.core.checks import Checked, Positive, PositiveShare, Share
+from slammot_graph.core.checks import Checked, Positive, PositiveShare
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.motion import NO_DOUBT, MatchedPose, Motion
 
@@ -35,10 +35,8 @@ class DoubtConfig(Checked):
         no motion yet, while a match did, it is that of the motion as well [m/s, rad/s].
     gain, clip : float
         Weight of the latest change in it, which counts for no more than this times the standard deviation.
-    min_told_share : float
-        Of the agreeing returns so many must tell of the way for the match to decide: one person ahead is less.
     decide_sigmas : float
-        It decides where both ways are so many of its standard deviations apart.
+        A match that tells of the way decides where both ways are so many of its standard deviations apart.
     moved_sigmas : float
         A match tells of a motion that is so many of its standard deviations.
     dead_way_m : float
@@ -51,7 +49,6 @@ class DoubtConfig(Checked):
     first_change_m_s: Positive = 0.2
     gain: PositiveShare = 0.05
     clip: Positive = 4.0
-    min_told_share: Share = 0.1
     decide_sigmas: Positive = 3.0
     moved_sigmas: Positive = 4.0
     dead_way_m: Positive = 0.5
@@ -158,12 +155,10 @@ class OdometryDoubt:
             if not self._has_moved:
                 squared = float(found[:2] @ np.linalg.solve(match.cov[:2, :2], found[:2]))
                 self._may_be_dead |= squared > self.config.moved_sigmas**2
-        if self._step is NO_DOUBT:
+        if self._step is NO_DOUBT or not match.is_told:
             return
         step_m = math.hypot(*self._step)
         along = self._step / step_m
-        if float(along @ match.told_share @ along) < self.config.min_told_share:
-            return
         var = float(along @ match.cov[:2, :2] @ along)
         self.apart_m *= math.sqrt(var / (self.apart_m**2 + var))
         if step_m > self.config.decide_sigmas * math.sqrt(var):

@@ -10,10 +10,6 @@ NO_DOUBT: FloatArray = np.zeros(2)
 NO_DOUBT.setflags(write=False)
 """The motion is not in doubt in any direction."""
 
-ALL_TOLD: FloatArray = np.eye(2)
-ALL_TOLD.setflags(write=False)
-"""All returns tell of all directions."""
-
 
 class Motion(NamedTuple):
     """Motion of the base between two scans.
@@ -58,8 +54,8 @@ class MatchedPose(NamedTuple):
         All directions are determined and most points agree: fit to calibrate with.
     is_elsewhere : bool
         It was found from another start than the prediction, and most of the returns agree with it alone.
-    told_share : (2, 2) array
-        Share of the agreeing returns that tell of a direction d of the body frame: ``d' told_share d``.
+    is_told : bool
+        Where the way is in doubt enough of the returns tell of it: one person ahead is less.
     """
 
     T_local_base: FloatArray
@@ -68,4 +64,4 @@ class MatchedPose(NamedTuple):
     agreement: float
     is_reliable: bool
     is_elsewhere: bool = False
-    told_share: FloatArray = ALL_TOLD
+    is_told: bool = True

@@ -10,7 +10,6 @@ import numpy as np
 
 from slammot_graph.core import se2
 from slammot_graph.core.errors import InputError
-from slammot_graph.core.match_result import MatchResult
 from slammot_graph.core.odometry_report import OdometryReport
 from slammot_graph.core.scan import Scan
 from slammot_graph.core.sweep import SweepMotion
@@ -178,12 +177,6 @@ class MotionState(NamedTuple):
             motion.cov,
             motion.doubt,
         )
-
-    def is_unsure(self, match: MatchResult, residual_std_m: float, least: float) -> bool:
-        """Tell whether fewer of a match's returns than the least share tell of a way that is in doubt."""
-        if self.doubt is NO_DOUBT or not self.doubt.any():
-            return False
-        return bool(self.doubt @ match.told_share(residual_std_m) @ self.doubt < least)
 
     def loosened(self, extra: FloatArray) -> "MotionState":
         """Trust the motion since the scan before less, by an extra covariance (3, 3) (body frame)."""

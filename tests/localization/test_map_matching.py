@@ -272,6 +272,9 @@ def test_one_person_who_leads_the_robot_down_a_corridor_contradicts_nothing() ->
     match, state = matching.match(scan.points_base(), scan.is_valid(4.5), start)
     assert matching.is_agreed(match)
     assert not matching.is_supported(match)
+    assert matching.is_unsure(match, np.array([1.0, 0.0]))
+    assert not matching.is_unsure(match, np.array([0.0, 1.0]))
+    assert not matching.is_unsure(match, np.zeros(2))  # not in doubt
     assert max(errors(step, state.T_local_base)) < 0.04
     # with any support at all it would be carried along
     config = ScanToMapConfig(min_tail_share=0.0)

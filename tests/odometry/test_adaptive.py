@@ -179,7 +179,7 @@ def test_wheels_that_stick_at_once_leave_the_way_unsure() -> None:
         variances.append(0.0 if motion is None else float(motion.cov[0, 0]))
         T = path_of(steps[:k])
         cov = np.diag((1e-4 if k < 50 else 4.0, 1e-6, 1e-6))  # into a bare corridor
-        match = MatchedPose(T, cov, cov, 0.9, is_reliable=False, told_share=0.0 * cov[:2, :2])
+        match = MatchedPose(T, cov, cov, 0.9, is_reliable=False, is_told=False)
         model.correct(T, match)
     assert sum(variances[61:64]) == pytest.approx(0.15**2, rel=0.05)
     assert max(variances[20:61] + variances[64:]) < 1e-3

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from slammot_graph.core.errors import ConfigError
 from slammot_graph.core.types import FloatArray
 from slammot_graph.odometry.doubt import DoubtConfig, OdometryDoubt
-from slammot_graph.odometry.motion import ALL_TOLD, MatchedPose, Motion
+from slammot_graph.odometry.motion import MatchedPose, Motion
 
 STEP_S, SPEED_M_S, STD_M = 0.1, 0.5, 0.002
 COV: FloatArray = np.diag(np.square((STD_M, STD_M, 0.001)))
@@ -24,10 +24,10 @@ def told(increment: FloatArray) -> Motion:
 
 
 def found_by(
-    std_m: float, told_share: FloatArray = ALL_TOLD, std_y_m: float = 0.001, at: FloatArray = ORIGIN
+    std_m: float, std_y_m: float = 0.001, at: FloatArray = ORIGIN, *, is_told: bool = True
 ) -> MatchedPose:
     cov = np.diag(np.square((std_m, std_y_m, 0.001)))
-    return MatchedPose(at, cov, cov, 0.9, is_reliable=True, told_share=told_share)
+    return MatchedPose(at, cov, cov, 0.9, is_reliable=True, is_told=is_told)
 
 
 def driven(n: int = 60, seed: int = 0) -> OdometryDoubt:
@@ -78,7 +78,7 @@ def test_a_match_that_tells_the_way_decides() -> None:
 
 
 @pytest.mark.parametrize(
-    "match", [found_by(0.05), found_by(0.005, 0.05 * ALL_TOLD)], ids=["bare corridor", "one person ahead"]
+    "match", [found_by(0.05), found_by(0.005, is_told=False)], ids=["bare corridor", "one person ahead"]
 )
 def test_what_does_not_tell_the_way_decides_nothing(match: MatchedPose) -> None:
     check, stuck = driven(), told(np.zeros(3))
